@@ -1,4 +1,4 @@
-"""`cvqmpt certify`: judge a path or trajectory of anyone's, or every path of a run again."""
+"""`cvqmpt certify`: certify a path or trajectory from any source, or all paths of a run again."""
 
 import argparse
 import json
@@ -10,16 +10,16 @@ from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.certificate.motion_check import dry_run
 from cvqmpt_lab.certificate.record import record, report_lines
 from cvqmpt_lab.cli.options import FLAG, Options, log, numbers, option, positive, refuse_given
-from cvqmpt_lab.cli.problem_options import PROBLEM, ROBOT, problem_asked, robot_source
+from cvqmpt_lab.cli.problem_options import PROBLEM, ROBOT, chosen_problem, robot_source
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.trajectory.trajectory import read_motion
 
 
 def run(args: argparse.Namespace) -> int:
-    """Judge and print; exit code 1 when anything is refused or not proven."""
+    """Certify and print; return 1 if anything is refused or not proven."""
     if args.path.is_dir():
-        ours = args.suite, args.problem_file, args.current, args.clearance
-        if any(given is not None for given in ours) or robot_source(args):
+        of_file = (args.suite, args.problem_file, args.current, args.clearance)
+        if any(given is not None for given in of_file) or robot_source(args):
             raise InvalidInputError(
                 "the rows of a run name their problems and robots; give the directory alone"
             )
@@ -27,10 +27,10 @@ def run(args: argparse.Namespace) -> int:
     why = "goes with the directory of a run; name one file: --problem-file"
     refuse_given(args, ["problems_dir"], why)
     motion = read_motion(args.path)
-    problem = problem_asked(args)
+    problem = chosen_problem(args)
     if not isinstance(problem, PlanningProblem):
         raise InvalidInputError(
-            f"suite {args.suite} is of tasks; certify the directory of a run, or one problem"
+            f"suite {args.suite} has tasks; certify the directory of a run, or one problem"
         )
     found = dry_run(problem, motion, args.current, args.tolerance)
     contents = record(problem, motion, found)
@@ -56,29 +56,32 @@ def _certify_run(directory: Path, problems_dir: Path | None, as_json: bool) -> i
         print(json.dumps({**summary, "troubles": troubles}, indent=1))
     else:
         counted = ", ".join(f"{count} {what}" for what, count in summary.items())
-        print(f"{counted}, {len(troubles)} unlike their rows")
+        print(f"{counted}, {len(troubles)} differ from their rows")
     return 1 if troubles else 0
 
 
 OPTIONS: Options = {
     "path": option(
-        "states, or a trajectory with times, which is dry-run too; or the directory of a run",
+        "states, or a trajectory, whose limits are checked too; or the directory of a run",
         type=Path,
         metavar="PATH.csv|PATH.json|DIR",
     ),
     **PROBLEM,
     "another robot for --problem-file": ROBOT,
     "--problems-dir": option(
-        "with the directory of a run of problem files: their folder", type=Path, metavar="DIR"
+        "folder of the problem files, for the directory of a run of them", type=Path, metavar="DIR"
     ),
     "--current": option(
-        "where the arm stands now, in quotes [rad]: the motion begins there",
+        "current configuration of the arm, in quotes [rad]; the motion must begin there",
         type=lambda text: np.array(numbers("--current", text)),
         metavar="Q",
     ),
     "--tolerance": option(
-        "how far from there it may begin (0.01)", type=positive, default=0.01, metavar="RAD"
+        "largest distance between that and the first state (0.01)",
+        type=positive,
+        default=0.01,
+        metavar="RAD",
     ),
-    "--json": option("print one json object instead, with all that was compared", **FLAG),
+    "--json": option("print one json object instead, with every compared value", **FLAG),
 }
 COMMANDS = {"certify": (run, OPTIONS)}

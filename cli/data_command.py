@@ -27,7 +27,7 @@ LABELS: Mapping[str, type[SceneRecipe]] = {"paths": PathRecipe, "roadmap": Roadm
 
 
 def run(args: argparse.Namespace) -> None:
-    """Generate the shards that --out does not have yet."""
+    """Generate the shards that are missing in --out."""
     families, robot = tuple(args.family.split(",")), robot_source(args) or PANDA
     more = {}
     if args.dictionary is not None:
@@ -43,7 +43,7 @@ def run(args: argparse.Namespace) -> None:
         with local_processes(args.jobs) as executor:
             for number, shard in executor.results(make, numbers):
                 if isinstance(shard, Lost):
-                    raise CvqmptError(f"shard {number}: {shard.detail}; what was finished is kept")
+                    raise CvqmptError(f"shard {number}: {shard.detail}; finished shards are kept")
                 yield shard
 
     generate(recipe, args.out, own_command(), ProgressBar("data"), in_processes)
@@ -53,7 +53,7 @@ def run(args: argparse.Namespace) -> None:
 OPTIONS: Options = {
     "action": option("generate", type=one_of("action", ("generate",))),
     "--scenes": option(
-        "number of scenes, of all families", type=positive_int, required=True, metavar="N"
+        "number of scenes over all families", type=positive_int, required=True, metavar="N"
     ),
     "--paths-per-scene": option(
         "pairs of start and goal tried per scene (50)", type=positive_int, default=50, metavar="M"
@@ -64,14 +64,14 @@ OPTIONS: Options = {
         metavar="A,B",
     ),
     "--labels": option(
-        f"{' or '.join(LABELS)}: near-shortest paths, or a roadmap's free nodes and edges and its "
+        f"{' or '.join(LABELS)}: near-shortest paths, or free nodes and edges of a roadmap and its "
         "shortest paths (paths)",
         type=one_of("kind of labels", LABELS),
         default="paths",
     ),
     "--dictionary --model": option(
-        "dictionary of --labels roadmap: --out of `cvqmpt train stage1` (the shipped one, of the "
-        "Panda)",
+        "dictionary for --labels roadmap: folder --out of `cvqmpt train stage1` (the shipped one "
+        "of the Panda)",
         metavar="DIR",
     ),
     "--seed": option("seed of scenes and paths (0)", type=not_negative_int, default=0),

@@ -22,13 +22,13 @@ from cvqmpt_lab.cli.options import (
     positive,
     refuse_given,
 )
-from cvqmpt_lab.cli.plan_command import FILM, MARGIN
+from cvqmpt_lab.cli.plan_command import FILM_SUFFIX, MARGIN
 from cvqmpt_lab.cli.problem_options import (
     BUDGET,
     PROBLEM,
     ROBOT,
     budget,
-    problem_asked,
+    chosen_problem,
 )
 from cvqmpt_lab.execution.execute import (
     CONTACT_TIMES,
@@ -54,7 +54,7 @@ HOLDS = ("weld", "friction")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Plan unless a motion is given, execute, report; exit code 1 if not executed as planned."""
+    """Plan unless a motion is given, execute and report; return 1 if not executed as planned."""
     mujoco_module()  # refused before anything is planned
     if args.suite == EXECUTED or args.out is not None:
         from cvqmpt_lab.experiments.executed import TABLE, run_executed
@@ -65,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
         print((args.out / TABLE).read_text(encoding="utf-8"), end="")
         return 0
     times = CONTACT_TIMES if args.contact_time is None else (args.contact_time,)
-    item = problem_asked(args)
+    item = chosen_problem(args)
     executions = _task(args, item, times) if isinstance(item, Task) else _motion(args, item, times)
     outcome, why = agreed(executions)
     if args.json:
@@ -87,7 +87,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _lines(executions: Sequence[Execution]) -> list[str]:
-    """The lines a person reads of one motion or task at several contact times."""
+    """Return the report on one motion or task executed at several contact times."""
     first = executions[0]
     outcome, why = agreed(executions)
     times = " and ".join(f"{1e3 * one.contact_time:g}" for one in executions)
@@ -114,12 +114,13 @@ def _lines(executions: Sequence[Execution]) -> list[str]:
     if first.placed_off_m is not None:
         off = worst(one.placed_off_m or 0.0 for one in executions)
         lines.append(f"placed      {1e3 * off:.2g} mm from its place")
-    return [*lines, f"outcome     {outcome}{why and f': {why}'}"]
+    reason = f": {why}" if why else ""
+    return [*lines, f"outcome     {outcome}{reason}"]
 
 
 def _task(args: argparse.Namespace, task: Task, times: tuple[float, ...]) -> list[Execution]:
-    """A task, planned and executed."""
-    refuse_given(args, ["motion"], "is of a problem; a task is planned here")
+    """Plan and execute a task."""
+    refuse_given(args, ["motion"], "goes with a problem; a task is always planned, leave it out")
     margin = Margin(args.margin, args.margin_angle).check()
     timing = TimingSettings(speed=args.speed)
     solution = solve_task(task, "birrt", budget(args), args.seed, timing, margin=margin)
@@ -129,7 +130,7 @@ def _task(args: argparse.Namespace, task: Task, times: tuple[float, ...]) -> lis
 def _motion(
     args: argparse.Namespace, problem: PlanningProblem, times: tuple[float, ...]
 ) -> list[Execution]:
-    """A motion of a file, or planned here, executed."""
+    """Execute a motion from a file, or plan one and execute it."""
     # refused before anything is planned
     require_simulated(problem)
     Controller(args.controller, problem.robot)
@@ -139,7 +140,7 @@ def _motion(
 
 
 def _planned(args: argparse.Namespace, problem: PlanningProblem) -> Trajectory:
-    """A certified motion of a problem."""
+    """Return a certified motion of a problem."""
     margin = Margin(args.margin, args.margin_angle).check()
     settings = TimingSettings(speed=args.speed)
     problem.robot.joint_limits.scaled(args.speed)
@@ -148,20 +149,20 @@ def _planned(args: argparse.Namespace, problem: PlanningProblem) -> Trajectory:
     if not solution.solved or solution.path is None:
         raise InvalidInputError(
             f"problem {problem.name} is not solved: {solution.plan.detail or solution.plan.status}"
-            "; cvqmpt plan tells more"
+            "; cvqmpt plan prints details"
         )
     return certified_motion(problem, solution.path, settings)
 
 
 def _read(args: argparse.Namespace, problem: PlanningProblem) -> Trajectory:
-    """The motion of a file, if it is certified for the problem."""
+    """Return the motion of a file; InvalidInputError if it is not certified for the problem."""
     found = read_motion(args.motion).of_joints(problem.robot.joint_names)
     if found.times is None:
         settings = TimingSettings(speed=args.speed)
         return certified_motion(problem, JointPath(found.positions), settings)
     if found.velocities is None or found.accelerations is None:
         raise InvalidInputError(
-            f"{args.motion} states no accelerations: write it with cvqmpt plan --trajectory"
+            f"{args.motion} has no accelerations: write it with cvqmpt plan --trajectory"
         )
     certificate = dry_run(problem, found, clearance=False).certificate
     if not certificate.valid:
@@ -175,9 +176,9 @@ def _read(args: argparse.Namespace, problem: PlanningProblem) -> Trajectory:
 OPTIONS: Options = {
     **PROBLEM,
     "another robot for --problem-file": ROBOT,
-    "--task-file": option("a task of several phases instead", type=Path, metavar="T.json"),
+    "--task-file": option("a task file instead", type=Path, metavar="T.json"),
     "--motion": option(
-        "a motion of the problem, such as plan --trajectory writes; else one is planned",
+        "a motion for the problem, as written by plan --trajectory; without it one is planned",
         type=Path,
         metavar="M.json|M.csv",
     ),
@@ -187,13 +188,13 @@ OPTIONS: Options = {
         default="computed-torque",
     ),
     "--hold": option(
-        "how the hand holds the load of a problem: weld or friction (weld); in a task it is "
+        "how the hand holds the load of a problem: weld or friction (weld); in a task always "
         "friction",
         type=one_of("--hold", HOLDS),
         default="weld",
     ),
     "--speed": option(
-        "share of the joints' limits that a planned motion uses (1)",
+        "fraction of the joint limits that a planned motion uses (1)",
         type=float,
         metavar="FACTOR",
         default=1.0,
@@ -207,7 +208,9 @@ OPTIONS: Options = {
     **SEED,
     **BUDGET,
     "--film": option(
-        "a film of what happened", type=partial(file_of_kind, "--film", (FILM,)), metavar="RUN.gif"
+        "a film of the execution",
+        type=partial(file_of_kind, "--film", (FILM_SUFFIX,)),
+        metavar="RUN.gif",
     ),
     "--out": option("with the suite 'executed': folder of its rows", type=Path, metavar="DIR"),
     "--json": option("print one json object instead of the report", **FLAG),

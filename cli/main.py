@@ -1,4 +1,7 @@
-"""`cvqmpt`: each module has in COMMANDS what runs its commands, and their tables of options."""
+"""The command line `cvqmpt`: find a command's module, parse its options and run it.
+
+A module `NAME_command` has a table COMMANDS: function and options of each of its commands.
+"""
 
 import argparse
 import gc
@@ -14,25 +17,28 @@ from typing import Any, NoReturn
 
 from cvqmpt_lab.base.errors import CvqmptError, InvalidInputError, UnknownChoiceError, nearest
 
-COMMANDS = {  # by name: the module cvqmpt_lab.cli.NAME_command that has it, and a summary
+COMMANDS = {  # by name: NAME of the module cvqmpt_lab.cli.NAME_command, and a summary
     "plan": ("plan", "plan one problem and print a short report"),
-    "certify": ("certify", "judge a path or trajectory, or every path of a run again"),
+    "certify": ("certify", "certify a path or trajectory, or all paths of a run again"),
     "execute": ("execute", "execute a motion or task in a physics simulation"),
-    "studio": ("plan", "drag start, goal and obstacles in the browser; the path follows"),
+    "studio": ("plan", "drag start, goal and obstacles in the browser; the path is planned again"),
     "reproduce": ("reproduce", "run a suite of problems or tasks and write its rows and tables"),
     "figure": ("reproduce", "make a figure of the paper, with its numbers"),
-    "claims": ("tables", "judge every claim of the paper by rows, and write the page that says so"),
+    "claims": (
+        "tables",
+        "judge every claim of the paper by rows, and write the page of claims",
+    ),
     "report": ("tables", "write one html file about results: verdicts, tables, plots, rows"),
-    "compare": ("tables", "say what changed between two runs of the same problems"),
+    "compare": ("tables", "list what changed between two runs of the same problems"),
     "table": ("tables", "render the tables of a results directory"),
-    "problems": ("problems", "list or export the problems of a suite, or write one to start from"),
-    "scan": ("scan", "make a clean cloud or a scene of depth images or clouds"),
+    "problems": ("problems", "list or export the problems of a suite, or write a template"),
+    "scan": ("scan", "make a clean cloud or a scene from depth images or clouds"),
     "ik": ("problems", "find configurations for a pose or region, for a problem file"),
     "robot": (
         "robot",
-        "show what is understood of a robot's description, or list the arms that have a name",
+        "print the model read from a robot's description, or list the robots known by name",
     ),
-    "check-tables": ("tables", "run a little again and compare with what is expected"),
+    "check-tables": ("tables", "repeat a few runs and compare them with committed expectations"),
     "data": ("data", "make training paths"),
     "train": ("model", "train the dictionary, the sequence model or MPNet"),
     "model": ("model", "show weights, convert published ones"),
@@ -41,10 +47,10 @@ COMMANDS = {  # by name: the module cvqmpt_lab.cli.NAME_command that has it, and
         "measure the stages of planning, and a state check of the paper's simulator",
     ),
     "warmup": ("setup", "compile all kernels ahead of time"),
-    "doctor": ("setup", "tell what is installed here, what is missing and how to get it"),
+    "doctor": ("setup", "list what is installed, what is missing and how to install it"),
 }
 
-# Words of other programs, and ours.
+# Options of other programs, and the options here with the same meaning.
 OTHER_WORDS = {
     "--timeout": "--cutoff",
     "--time-limit": "--cutoff",
@@ -72,13 +78,13 @@ EXAMPLES = """examples:
   cvqmpt reproduce place-task --problems 20 --seeds 1 --out runs/small
   cvqmpt table runs/small
 
-cvqmpt COMMAND --help tells the rest."""
+cvqmpt COMMAND --help lists options and examples."""
 
 
 class Parser(argparse.ArgumentParser):
-    """argparse whose errors are ours, one line without the usage; -0.1,0.2 is a value."""
+    """Argument parser whose errors are one line without the usage; it reads -0.1,0.2 as a value."""
 
-    whole = False  # whether helps show every option
+    shows_all = False  # whether help texts show every option
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
@@ -86,12 +92,12 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Refuse the command line."""
-        raise InvalidInputError(f"{message}; {self.prog} --help lists what can be given")
+        raise InvalidInputError(f"{message}; {self.prog} --help lists all options")
 
     def format_help(self) -> str:
-        """The help of a command, with its examples."""
+        """Return the help of a command, with its examples."""
         command = self.prog.partition(" ")[2]
-        if command in SHORT and not self.whole:
+        if command in SHORT and not self.shows_all:
             known = SHORT[command].split()
             self.usage = f"{self.prog} [SUITE|FILE] [options]; --help-all shows every option"
             for action in self._actions:
@@ -103,7 +109,7 @@ class Parser(argparse.ArgumentParser):
 
 
 class Version(argparse.Action):
-    """Print the version and exit; it is looked up only then."""
+    """Option that prints the version and exits; the version is looked up only then."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
         """Print the version and exit."""
@@ -114,21 +120,21 @@ class Version(argparse.Action):
 
 
 def command_named(name: str) -> tuple[Any, Any]:
-    """Function and options of a command (see `options.add_options`); imports its module."""
+    """Return function and options of a command (see `options.add_options`); import its module."""
     module = importlib.import_module(f"cvqmpt_lab.cli.{COMMANDS[name][0]}_command")
     return module.COMMANDS[name]
 
 
 def examples_of(command: str) -> list[str]:
-    """The examples of a command's help."""
-    import tomllib  # for helps alone
+    """Return the examples of a command's help."""
+    import tomllib  # needed for help texts only
 
     text = (Path(__file__).parent / "examples.toml").read_text(encoding="utf-8")
     return tomllib.loads(text)[command]
 
 
 def parser_with(filled: Collection[str]) -> Parser:
-    """The whole command line, with the options of some subcommands, which are imported."""
+    """Return the parser of the command line; modules of the commands in `filled` are imported."""
     parser = Parser(
         prog="cvqmpt",
         description="Constrained motion planning with learned sampling dictionaries: plan, "
@@ -153,37 +159,37 @@ def parser_with(filled: Collection[str]) -> Parser:
 
 
 def _parsed(argv: list[str]) -> argparse.Namespace:
-    asked = next((word for word in argv if word in COMMANDS), None)
-    if asked != "train":
+    command = next((word for word in argv if word in COMMANDS), None)
+    if command != "train":
         for variable in THREADS:
             os.environ.setdefault(variable, "1")
     first = next((word for word in argv if not word.startswith("-")), None)
-    if asked is None and first is not None:
+    if command is None and first is not None:
         raise UnknownChoiceError("command", first, COMMANDS)
-    Parser.whole = "--help-all" in argv
-    if Parser.whole:
+    Parser.shows_all = "--help-all" in argv
+    if Parser.shows_all:
         argv = ["--help" if word == "--help-all" else word for word in argv]
-    parser = parser_with([asked] if asked else ())
+    parser = parser_with([command] if command else ())
     args, unknown = parser.parse_known_args(argv)
     if unknown:
         raise InvalidInputError(
-            f"unknown arguments: {' '.join(unknown)}{_meant(parser, args.command, unknown[0])}; "
-            f"cvqmpt {args.command} --help lists what can be given"
+            f"unknown arguments: {' '.join(unknown)}{_hint(parser, args.command, unknown[0])}; "
+            f"cvqmpt {args.command} --help lists all options"
         )
     return args
 
 
-def _meant(parser: Parser, command: str, word: str) -> str:
-    """The option that was meant by a word, as "; did you mean ...?", or ""."""
+def _hint(parser: Parser, command: str, word: str) -> str:
+    """Return "; did you mean OPTION?" for an unknown option that resembles one, or ""."""
     (commands,) = (a for a in parser._actions if isinstance(a, argparse._SubParsersAction))
     actions = commands.choices[command]._actions
     known = [name for action in actions for name in action.option_strings]
-    ours = [name for name in OTHER_WORDS.get(word, "").split() if name in known]
-    return f"; did you mean {ours[0]!r}?" if ours else nearest(word, known)
+    same = [name for name in OTHER_WORDS.get(word, "").split() if name in known]
+    return f"; did you mean {same[0]!r}?" if same else nearest(word, known)
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run a subcommand; errors of the package become one line and exit code 2."""
+    """Run a command and return its exit code; errors of the package print one line and give 2."""
     try:
         args = _parsed(sys.argv[1:] if argv is None else argv)
         if not gc.isenabled():  # see entry_point
@@ -191,22 +197,22 @@ def main(argv: list[str] | None = None) -> int:
             gc.enable()
         code = command_named(args.command)[0](args)
         sys.stdout.flush()
-        return code or 0  # most commands say nothing else
+        return code or 0  # most commands return None
     except CvqmptError as error:
         print(f"cvqmpt: {error}", file=sys.stderr)
         return 2
     except MemoryError as error:
-        print(f"cvqmpt: out of memory ({error}); what was finished is kept", file=sys.stderr)
+        print(f"cvqmpt: out of memory ({error}); finished results are kept", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print(
-            "cvqmpt: interrupted; what was finished is kept, the same command continues",
+            "cvqmpt: interrupted; finished results are kept, the same command continues",
             file=sys.stderr,
         )
         return 130
-    except BrokenPipeError:  # nobody reads on: not what a certificate says, so not 0
+    except BrokenPipeError:  # the reader has gone; 0 would mean a valid certificate
         _silence()
-        return 141  # as shells give it
+        return 141  # as shells return it
     except OSError as error:
         print(f"cvqmpt: {error}", file=sys.stderr)
         _silence()
@@ -214,22 +220,24 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _silence() -> None:
-    """Discard further output: Python must not write at exit to a closed pipe."""
+    """Discard further output, so that Python does not write to a closed pipe at exit."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def entry_point() -> None:
-    """Console script; letters outside the terminal's encoding are escaped.
+    """Run the console script; characters outside the terminal's encoding are escaped.
 
-    Exit code 2, not Python's 1, after an error that is a fault of this package: 1 is a verdict.
+    An internal error ends with exit code 2, not with Python's 1, which is a verdict.
     """
-    # what is imported is no garbage: looking for some in it takes a tenth of a short command, most
-    # of that at its end
+    # garbage collection during imports would take a tenth of a short command's time, most at exit
     gc.disable()
     if sys.stderr is None:  # closed
         sys.stderr = Path(os.devnull).open("w")  # noqa: SIM115
     if sys.stdout is None:
-        print("cvqmpt: standard output is closed; give one, such as /dev/null", file=sys.stderr)
+        print(
+            "cvqmpt: standard output is closed; redirect it, as to /dev/null",
+            file=sys.stderr,
+        )
         sys.exit(2)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):

@@ -43,9 +43,9 @@ def model(args: argparse.Namespace) -> None:
             if getattr(args, name) is None:
                 raise InvalidInputError(f"import: give --{name.replace('_', '-')} DIR")
         if args.out.exists() and (not args.out.is_dir() or any(args.out.iterdir())):
-            raise InvalidInputError(f"{args.out} is there and not empty; choose another --out")
+            raise InvalidInputError(f"{args.out} exists and is not empty; choose another --out")
         require_installed("torch", "cvqmpt model import", "train")
-        # training starts where there is no pinocchio, and shares this file
+        # training shares this file and needs no pinocchio
         from cvqmpt_lab.robot.load import robot_from_source
         from cvqmpt_lab.vqmpt.checkpoint import import_published, save_checkpoint
 
@@ -57,7 +57,7 @@ def model(args: argparse.Namespace) -> None:
 
 
 def _info(folder: Path) -> dict[str, Any]:
-    """Everything a folder of weights holds but the weights, which are read and checked."""
+    """Return what a folder of weights says of them; they are read and checked."""
     read, description = read_model(folder), read_description(folder)
     if TRANSFORMER in read.parts:
         from cvqmpt_lab.vqmpt.codebook import require_own_dictionary  # compiles
@@ -83,7 +83,7 @@ def _info(folder: Path) -> dict[str, Any]:
 
 
 def _summary(found: dict[str, Any]) -> list[str]:
-    """The lines a person reads."""
+    """Return the report on weights."""
     robot, config, metadata = found["robot"], found["model"], found["metadata"]
     kind = f", {config['kind']}" if "kind" in config else ""
     digest = robot["kinematics"] or "not recorded"
@@ -101,8 +101,8 @@ def _summary(found: dict[str, Any]) -> list[str]:
         f"{name:28} {part['bytes']:>12,} {part['numbers']:>12,}"
         for name, part in found["parts"].items()
     ]
-    told = ("source", "stage", "seed", "train_paths", "validation_paths", "epochs")
-    shown = {name: metadata[name] for name in told if name in metadata}
+    listed = ("source", "stage", "seed", "train_paths", "validation_paths", "epochs")
+    shown = {name: metadata[name] for name in listed if name in metadata}
     losses = metadata.get("losses")
     shown |= losses if isinstance(losses, dict) else {}
     return [
@@ -120,7 +120,7 @@ def _summary(found: dict[str, Any]) -> list[str]:
 
 MODEL: Options = {
     "action": option(
-        "info or import published VQ-MPT folders (MPNet's cannot be: train it)",
+        "info, or import of published VQ-MPT folders (train MPNet, its folders cannot be imported)",
         type=one_of("action", ("info", "import")),
     ),
     "--model": option(
@@ -139,7 +139,7 @@ PROFILE_NAMES = ("smoke", "compact", "published")
 
 
 def train(args: argparse.Namespace) -> None:
-    """Train, showing loss and time left."""
+    """Train, and show loss and time left."""
     require_installed("torch", "cvqmpt train", "train")
     from cvqmpt_lab.training.profiles import Profile, profile_named
     from cvqmpt_lab.training.trainer import run_training
@@ -180,21 +180,27 @@ TRAIN: Options = {
     "stage": option(f"what to train: {', '.join(STAGES)}", type=one_of("stage", STAGES)),
     ONE_OF: {
         "--profile": option(f"of {', '.join(PROFILE_NAMES)} (compact)", default="compact"),
-        "--config": option("a profile of your own, see --print-config", type=Path, metavar="FILE"),
+        "--config": option(
+            "file of your own profile, see --print-config", type=Path, metavar="FILE"
+        ),
     },
     "--print-config": option("print the profile as json and stop", **FLAG),
-    "--data": option("what `cvqmpt data generate` wrote", type=Path, metavar="DIR"),
+    "--data": option("folder written by `cvqmpt data generate`", type=Path, metavar="DIR"),
     "--out": option(
-        "for state, curves and model/; continued if it is there", type=Path, metavar="DIR"
+        "folder for state, curves and model/; continued if it exists", type=Path, metavar="DIR"
     ),
     "--dictionary": option(
-        "transformer (from labels), published (the authors' architecture, from paths or labels): "
-        "--out of stage1 (the shipped)",
+        "for transformer (from labels) and published (the authors' architecture, from paths or "
+        "labels): folder --out of stage1 (the shipped one)",
         type=Path,
         metavar="DIR",
     ),
-    "--seed": option("repeatable on a CPU (0)", type=not_negative_int, default=0, metavar="S"),
-    "--epochs": option("in all (the profile's)", type=positive_int, metavar="N"),
+    "--seed": option(
+        "seed; training repeats exactly on a CPU (0)", type=not_negative_int, default=0, metavar="S"
+    ),
+    "--epochs": option(
+        "total number of epochs (that of the profile)", type=positive_int, metavar="N"
+    ),
     "--minutes": option("stop and save after M minutes", type=positive, metavar="M"),
     "--device": option("cpu, cuda, or auto (auto)", default="auto"),
     "--workers": option(

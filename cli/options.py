@@ -1,4 +1,4 @@
-"""Options and checks that commands share; light, so that training runs on a bare machine."""
+"""Options and checks shared by commands; it imports little, so that training needs little."""
 
 import argparse
 import contextlib
@@ -14,27 +14,35 @@ from typing import Any
 from cvqmpt_lab.base.errors import InvalidInputError, require_choice
 from cvqmpt_lab.base.files import finite, require_regular_file
 
-# By names of options (`-v --verbose`), arguments of argparse's add_argument; by a title, a group.
+# Keys: names of an option (`-v --verbose`), with arguments of argparse's add_argument; or the title
+# of a group, with its options.
 Options = Mapping[str, Mapping[str, Any]]
-ONE_OF, EXACTLY_ONE_OF = "one of", "exactly one of"  # titles of options that exclude each other
+ONE_OF, EXACTLY_ONE_OF = "one of", "exactly one of"  # titles of groups of exclusive options
 REPEATED: Mapping[str, Any] = {"action": "append", "default": []}
 FLAG: Mapping[str, Any] = {"action": "store_true"}
 
 
 def option(text: str, **settings: Any) -> dict[str, Any]:
-    """An option: its help and other arguments of argparse's add_argument."""
+    """Return an option: its help text and other arguments of argparse's add_argument."""
     return {"help": text, **settings}
 
 
 WEIGHTS: Options = {
-    "--model": option("folder of the planner's weights (those of the package)", metavar="DIR")
+    "--model": option("folder of the planner's weights (the shipped ones)", metavar="DIR")
 }
 
 
 def _number(
     kind: type, holds: Callable[[float], bool], must: str, most: float = sys.float_info.max
 ) -> Callable[[str], Any]:
-    """The type of an option that is a number which meets a condition; most: that it may be."""
+    """Return the type of an option whose value is a number that meets a condition.
+
+    Args:
+        kind: int or float.
+        holds: condition.
+        must: description of valid numbers, for the error message.
+        most: largest absolute value.
+    """
 
     def read(text: str) -> Any:
         with contextlib.suppress(ValueError, OverflowError):
@@ -57,7 +65,7 @@ SEED: Options = {
 
 REACH: Options = {
     "--reach": option(
-        "longest extension of trees towards a sample [rad], inf: none (the planner's own)",
+        "longest extension of a tree towards a sample [rad], inf: no limit (that of the planner)",
         type=_number(float, lambda x: x > 0, "a positive number or inf", math.inf),
         metavar="RAD",
     )
@@ -74,7 +82,13 @@ def one_of(what: str, known: Collection[str]) -> Callable[[str], str]:
 
 
 def refuse_given(args: argparse.Namespace, names: Iterable[str], why: str) -> None:
-    """Refuse options, by their names in args, that do not go with others; why: after the option."""
+    """Refuse options that cannot be combined with others.
+
+    Args:
+        args: parsed command line.
+        names: names of the options in `args`.
+        why: reason and cure, which follow the option in the message.
+    """
     for name in names:
         if getattr(args, name):
             raise InvalidInputError(f"--{name.replace('_', '-')} {why}")
@@ -86,12 +100,12 @@ def log(text: str) -> None:
 
 
 def own_command() -> list[str]:
-    """The words of this command line, for provenance."""
+    """Return the words of this command line, for provenance."""
     return ["cvqmpt", *sys.argv[1:]]
 
 
 def add_options(parser: Any, options: Options) -> None:
-    """Add options to an argparse parser, or to a group of one."""
+    """Add options to an argparse parser or to a group of its options."""
     for names, settings in options.items():
         if names in (ONE_OF, EXACTLY_ONE_OF):
             required = names == EXACTLY_ONE_OF
@@ -103,12 +117,12 @@ def add_options(parser: Any, options: Options) -> None:
 
 
 def as_json(data: dict[str, Any]) -> str:
-    """Json text; undefined numbers are null."""
+    """Return JSON text; numbers that are not finite become null."""
     return json.dumps(finite(data), indent=1, allow_nan=False)
 
 
 def writable_file(name: Path | str) -> Path:
-    """The path, after checking that a file can be made there; also the type of an option."""
+    """Return the path after checking that it can be written; also the type of an option."""
     path = Path(name)
     if not path.parent.is_dir():
         raise InvalidInputError(
@@ -127,19 +141,20 @@ def writable_file(name: Path | str) -> Path:
 
 
 def file_of_kind(option: str, suffixes: Sequence[str], name: Path | str) -> Path:
-    """A `writable_file` with one of these suffixes."""
+    """Return a `writable_file` with one of these suffixes."""
     path = writable_file(name)
     require_choice(f"{option} {path}: suffix", path.suffix, suffixes)
     return path
 
 
 def numbers(option: str, text: str, names: Sequence[str] = ()) -> list[float]:
-    """Finite numbers separated by commas or blanks; as many as names, if there are any."""
+    """Return finite numbers separated by commas or blanks, one for each of `names` if given."""
     try:
         found = [float(word) for word in text.replace(",", " ").split()]
     except ValueError:
         found = [math.nan]
-    if not found or not all(map(math.isfinite, found)) or len(found) != (len(names) or len(found)):
+    wrong_count = len(found) != len(names) if names else not found
+    if wrong_count or not all(map(math.isfinite, found)):
         wanted = (
             f"{len(names)} numbers, {', '.join(names)}" if names else "numbers separated by commas"
         )
@@ -148,7 +163,7 @@ def numbers(option: str, text: str, names: Sequence[str] = ()) -> list[float]:
 
 
 class ProgressBar:
-    """A bar with the time left on standard error; a line per tenth where it is no terminal."""
+    """Progress bar with the time left, on standard error; outside a terminal a line per tenth."""
 
     def __init__(self, label: str) -> None:
         self._label, self._began, self._first = label, time.perf_counter(), 0
@@ -156,7 +171,7 @@ class ProgressBar:
         self._tenth = -1
 
     def __call__(self, done: int, total: int, note: str = "") -> None:
-        """Show `done` of `total`."""
+        """Show that `done` of `total` steps are made."""
         if self._tenth < 0:
             self._first, self._tenth = done, 0
         elapsed = time.perf_counter() - self._began

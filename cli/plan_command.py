@@ -1,6 +1,6 @@
 """`cvqmpt plan`: solve one problem or task with one planner; print a report, write files.
 
-`cvqmpt studio`: a page in the browser on which a problem is changed and planned again.
+`cvqmpt studio`: serve a page on which a problem is changed and planned again.
 """
 
 import argparse
@@ -39,10 +39,10 @@ from cvqmpt_lab.cli.problem_options import (
     PROBLEM,
     ROBOT,
     budget,
+    chosen_problem,
     name_file,
     optimize_budget,
     optimize_option,
-    problem_asked,
     robot_source,
     with_clearance,
 )
@@ -60,17 +60,19 @@ from cvqmpt_lab.tasks.task import Task
 if TYPE_CHECKING:
     from cvqmpt_lab.tasks.solve import TaskSolution
 
-# [s] for shorter paths after the first one, unless --optimize is given: on the templates of six
-# arms, paths after 1 s are at most 1 % shorter
-OPTIMIZE = 0.25
-RECORDING, FILM, PAGE = ".rrd", ".gif", ".html"  # suffixes of files that --save writes
+# default of --optimize: on the templates of six arms, paths after 1 s are at most 1 % shorter
+OPTIMIZE_S = 0.25
+# files that --save writes
+RECORDING_SUFFIX = ".rrd"
+FILM_SUFFIX = ".gif"
+PAGE_SUFFIX = ".html"
 
 
 def run(args: argparse.Namespace) -> int:
-    """Plan, print the report, write files; exit code 1 when no certified path was found."""
+    """Plan, print the report and write files; return 1 if no certified path was found."""
     item = _problem_or_task(args)
     if args.speed is not None and args.trajectory is None and not isinstance(item, Task):
-        raise InvalidInputError(f"--speed {args.speed} is that of --trajectory OUT.csv; give it")
+        raise InvalidInputError(f"--speed {args.speed} goes with --trajectory OUT.csv; give it")
     args.speed = SLOW_SPEED if args.speed is None else args.speed
     if isinstance(item, Task):
         solution, report = _solved_task(args, item)
@@ -97,13 +99,13 @@ def run(args: argparse.Namespace) -> int:
 def _solved_problem(
     args: argparse.Namespace, problem: PlanningProblem
 ) -> tuple["Solution | TaskSolution", dict[str, Any] | list[str]]:
-    """A problem's solution, and its report: data for --json, else lines."""
+    """Solve a problem; return its solution and report, which is data for --json, else lines."""
     if args.project_start:
         problem = with_projected_start(problem)
     planner, why = (args.planner, "") if args.planner else default_planner(problem)
     method = planner_named(planner, args.model, args.reach)
     if args.cloud and not motion_given(args):
-        # the obstacles are those of the suite or file; the cloud is what a network is shown
+        # obstacles are those of the suite or file; the cloud is the input of a network
         method = method.with_cloud(scanned(args, arm_of(args, problem.robot, problem.start)).points)
     if args.trajectory:
         from cvqmpt_lab.scene.cloud_files import kind_of
@@ -123,7 +125,7 @@ def _solved_problem(
         args.seed,
         margin,
         backend=args.backend,
-        optimize=optimize_budget(args, OPTIMIZE),
+        optimize=optimize_budget(args, OPTIMIZE_S),
         near_goals_first=args.suite is None,
     )
     if args.json:
@@ -134,7 +136,7 @@ def _solved_problem(
 def _solved_task(
     args: argparse.Namespace, task: Task
 ) -> tuple["Solution | TaskSolution", dict[str, Any] | list[str]]:
-    """A task's solution, and its report: data for --json, else lines."""
+    """Solve a task; return its solution and report, which is data for --json, else lines."""
     # timing needs scipy.interpolate, which takes half a second to import
     from cvqmpt_lab.tasks.solve import solve_task, task_data, task_lines
     from cvqmpt_lab.trajectory.timing import TimingSettings
@@ -145,7 +147,7 @@ def _solved_task(
     if folder is not None:
         if folder.suffix or folder.is_file():
             raise InvalidInputError(
-                f"--trajectory {folder}: of a task it is a folder, for a file a phase; name one"
+                f"--trajectory {folder}: a task writes a file for each phase; name a folder"
             )
         make_folder(folder)
     planner = args.planner or "birrt"  # the planner with which tasks were measured
@@ -156,16 +158,18 @@ def _solved_task(
     # a wrong speed is refused before anything is planned
     robot_from_source(task.robot).joint_limits.scaled(args.speed)
     solution = solve_task(task, method, budget(args), args.seed, timing, args.backend, margin)
-    return solution, (task_data if args.json else task_lines)(solution, planner)
+    if args.json:
+        return solution, task_data(solution, planner)
+    return solution, task_lines(solution, planner)
 
 
 def _problem_or_task(args: argparse.Namespace) -> PlanningProblem | Task:
-    """The problem or task that the command line names."""
+    """Return the problem or task that the command line names."""
     name_file(args)
-    of_scan = (args.intrinsics, args.extrinsics, args.level, args.down, args.crop)
-    if not args.cloud and any(of_scan):
+    scan_options = (args.intrinsics, args.extrinsics, args.level, args.down, args.crop)
+    if not args.cloud and any(scan_options):
         raise InvalidInputError(
-            "--intrinsics, --extrinsics, --level, --down and --crop are of a scan: give --cloud"
+            "--intrinsics, --extrinsics, --level, --down and --crop describe a scan; give --cloud"
         )
     given = [
         name for name in ("suite", "problem_file", "task_file") if getattr(args, name) is not None
@@ -177,7 +181,7 @@ def _problem_or_task(args: argparse.Namespace) -> PlanningProblem | Task:
             f"name a suite ({', '.join(SUITES)}), or give --problem-file or --task-file, or "
             "--start and --goal with --cloud or --scene: one of the four"
         )
-    return problem_asked(args)
+    return chosen_problem(args)
 
 
 def _write_trajectory(args: argparse.Namespace, solution: Solution) -> str:
@@ -226,7 +230,7 @@ def _write_trajectories(args: argparse.Namespace, solution: "TaskSolution") -> s
 
 
 def _not_limited(robot: Robot) -> str:
-    """A line for the limits that timing does not know, or nothing."""
+    """Return a line that lists limits unknown to the timing, or ""."""
     from cvqmpt_lab.robot.dynamics import without_effort_limit
 
     missing = [without_effort_limit(robot)]
@@ -237,8 +241,8 @@ def _not_limited(robot: Robot) -> str:
 
 
 def _savable(name: str) -> Path:
-    """The path of a file that --save can write, by its suffix."""
-    return file_of_kind("--save", (PAGE, RECORDING, FILM), Path(name))
+    """Return the path of a file with a suffix that --save can write."""
+    return file_of_kind("--save", (PAGE_SUFFIX, RECORDING_SUFFIX, FILM_SUFFIX), Path(name))
 
 
 def _show(args: argparse.Namespace, solution: "Solution | TaskSolution") -> list[str]:
@@ -259,12 +263,12 @@ def _show(args: argparse.Namespace, solution: "Solution | TaskSolution") -> list
             write_png(args.picture, image)
             what = f"picture of {', '.join(names)}"
         lines.append(f"{what} written to {args.picture}")
-    if suffix == FILM:
+    if suffix == FILM_SUFFIX:
         from cvqmpt_lab.show.picture import film_solution
 
         film_solution(solution, args.save, carried=carried, progress=ProgressBar("film"))
         lines.append(f"film written to {args.save}")
-    if suffix == PAGE:
+    if suffix == PAGE_SUFFIX:
         from cvqmpt_lab.show.web_page import save_page
 
         save_page(solution, args.save, carried)
@@ -273,7 +277,7 @@ def _show(args: argparse.Namespace, solution: "Solution | TaskSolution") -> list
             f"page written to {args.save} ({size:.1f} MB); open it in a browser, no network is "
             "needed"
         )
-    if suffix == RECORDING:
+    if suffix == RECORDING_SUFFIX:
         from cvqmpt_lab.show.recording import log_solution
 
         log_solution(solution, args.save, carried)
@@ -283,14 +287,14 @@ def _show(args: argparse.Namespace, solution: "Solution | TaskSolution") -> list
 
 MARGIN: Options = {
     "--margin": option(
-        "robot and hand may be off by M: obstacles and bounds of position are kept away by it "
-        "where start, goals and budget allow it (0.002; 0 for none) [m]",
+        "margin for position errors of the arm: the path keeps it to obstacles and to bounds of "
+        "position, where start, goals and budget allow it (0.002; 0: none) [m]",
         type=float,
         metavar="M",
         default=Margin().metres,
     ),
     "--margin-angle": option(
-        "likewise of bounds of rotation and tilt (0.005) [rad]",
+        "margin to bounds of rotation and tilt (0.005) [rad]",
         type=float,
         metavar="RAD",
         default=Margin().radians,
@@ -301,23 +305,23 @@ OPTIONS: Options = {
     "another robot for --problem-file, or for --start and --goal": ROBOT,
     **MARGIN,
     "--task-file": option(
-        "a task of several phases instead, planned one after another", type=Path, metavar="T.json"
+        "a task instead, whose phases are planned one after another", type=Path, metavar="T.json"
     ),
     "--planner": option(
-        f"one of {', '.join(PLANNERS)}, or package.module:planner (roadmap, for a task or a held "
-        "mechanism birrt)"
+        f"one of {', '.join(PLANNERS)}, or package.module:planner (roadmap; birrt for a task or a "
+        "held mechanism)"
     ),
     **WEIGHTS,
     **REACH,
     "--cloud": option(
-        "scan whose points are the obstacles of --start and --goal; with a suite or a problem "
-        "file, the points that a network is shown; repeatable",
+        "scan whose points are obstacles for --start and --goal; with a suite or a problem file, "
+        "the input cloud of a network; repeatable",
         type=Path,
         metavar="SCAN.pcd|ply|npy|xyz|png",
         **REPEATED,
     ),
     "--scene": option(
-        "obstacles of --start and --goal, instead of --cloud", type=Path, metavar="S.json"
+        "obstacles for --start and --goal, instead of --cloud", type=Path, metavar="S.json"
     ),
     "--project-start": option("move the start onto the constraint first (Algorithm 1)", **FLAG),
     **SEED,
@@ -326,7 +330,7 @@ OPTIONS: Options = {
     **MOTION,
     **SCAN,
     **BUDGET,
-    **optimize_option(f"; {OPTIMIZE:g}, 0 for none"),
+    **optimize_option(f"; {OPTIMIZE_S:g}, 0: none"),
     "pictures": {
         "--picture": option(
             "a still picture of start, path and goal; for a task, of the end of each phase",
@@ -341,13 +345,13 @@ OPTIONS: Options = {
     },
     "--save-path": option("write the path's states as csv", type=writable_file, metavar="PATH.csv"),
     "--trajectory": option(
-        "write the path as the fastest motion within --speed, json for ROS; for a task, a folder "
-        "with one file for each phase",
+        "write the fastest motion along the path within --speed, json for ROS; for a task, a "
+        "folder with one file for each phase",
         type=Path,
         metavar="OUT.csv|OUT.json|DIR",
     ),
     "--speed": option(
-        "share of the joints' limits that --trajectory uses (0.1)", type=float, metavar="FACTOR"
+        "fraction of the joint limits that --trajectory uses (0.1)", type=float, metavar="FACTOR"
     ),
 }
 
@@ -368,21 +372,21 @@ def serve(args: argparse.Namespace) -> None:
 
 
 def _of_page(args: argparse.Namespace) -> PlanningProblem:
-    """The problem of a file or suite; without either, one for the robot that is named."""
+    """Return the problem of a file or suite, or else a template problem for the named robot."""
     if args.suite is None and args.problem_file is None:
         if (source := robot_source(args)) is not None:
             from cvqmpt_lab.benchmarks.templates import problem_template  # half a second to import
 
             return PlanningProblem.from_dict(problem_template(source))
         args.suite = "place-task"
-    if isinstance(problem := problem_asked(args), PlanningProblem):
+    if isinstance(problem := chosen_problem(args), PlanningProblem):
         return problem
-    raise InvalidInputError(f"{args.suite} has tasks, of several phases; studio is for problems")
+    raise InvalidInputError(f"{args.suite} has tasks of several phases; studio is for problems")
 
 
 STUDIO: Options = {
     **PROBLEM,
-    "--port": option("of the page, 0: any (8090)", type=not_negative_int, default=8090),
-    "robot of a problem file, or alone, for a problem made for it": ROBOT,
+    "--port": option("port of the page, 0: any (8090)", type=not_negative_int, default=8090),
+    "robot of a problem file, or of a template problem": ROBOT,
 }
 COMMANDS = {"plan": (run, OPTIONS), "studio": (serve, STUDIO)}

@@ -1,4 +1,4 @@
-"""Options for problem, robot, budget and planners, and how they are read."""
+"""Options for problem, robot, budget and planners, and functions that read them."""
 
 import argparse
 import contextlib
@@ -36,7 +36,7 @@ from cvqmpt_lab.tasks.task import Task
 
 
 def _placement(text: str) -> dict[str, Any]:
-    """The pose of --base."""
+    """Return the pose of --base."""
     x = numbers("--base", text)
     if len(x) not in (3, 6):
         raise InvalidInputError(f"--base {text!r}: write X,Y,Z or X,Y,Z,ROLL,PITCH,YAW [m, rad]")
@@ -44,13 +44,13 @@ def _placement(text: str) -> dict[str, Any]:
 
 
 def _limits(option: str, text: str) -> float | list[float]:
-    """The numbers of an option of limits, or a single one."""
+    """Return the numbers of an option of limits, or a single one."""
     limits = numbers(option, text)
     return limits[0] if len(limits) == 1 else limits
 
 
 def _locked_joint(text: str) -> tuple[str, float]:
-    """The joint and value of one --lock."""
+    """Return joint and value of one --lock."""
     joint, _, value = text.rpartition("=")
     with contextlib.suppress(ValueError):
         if joint and math.isfinite(float(value)):
@@ -58,17 +58,19 @@ def _locked_joint(text: str) -> tuple[str, float]:
     raise InvalidInputError(f"--lock {text!r}: write JOINT=VALUE with a finite number [rad or m]")
 
 
-ROBOT_DETAILS: Options = {  # what may be said of a robot, whichever way it is named
-    "--end-effector": option("its frame that constraint and goals speak of", metavar="FRAME"),
+ROBOT_DETAILS: Options = {  # for robots given by name or by file
+    "--end-effector": option("frame that constraint and goals refer to", metavar="FRAME"),
     "--end-effectors": option(
-        "several such frames, whose joints move together; regions name theirs",
+        "several such frames, planned together; every region names its frame",
         nargs="+",
         default=[],
         metavar="FRAME",
     ),
-    "--srdf": option("file with link pairs not to check", type=Path, metavar="ARM.srdf"),
+    "--srdf": option(
+        "file with pairs of links that are not checked for collision", type=Path, metavar="ARM.srdf"
+    ),
     "--package-dir": option(
-        "where package:// meshes lie, beside ROS_PACKAGE_PATH; repeatable",
+        "folder of package:// meshes, in addition to ROS_PACKAGE_PATH; repeatable",
         type=Path,
         metavar="DIR",
         **REPEATED,
@@ -77,22 +79,22 @@ ROBOT_DETAILS: Options = {  # what may be said of a robot, whichever way it is n
         "fix a joint [rad or m]; repeatable", type=_locked_joint, metavar="JOINT=VALUE", **REPEATED
     ),
     "--base": option(
-        "where its base stands [m], roll, pitch and yaw [rad]",
+        "pose of the base: position [m], roll, pitch and yaw [rad]",
         type=_placement,
         metavar="X,Y,Z[,R,P,Y]",
     ),
     "--acceleration": option(
-        "acceleration limits, one a joint or one for all [rad/s^2]; --trajectory needs them",
+        "acceleration limits, one for each joint or one for all [rad/s^2]; --trajectory needs them",
         type=partial(_limits, "--acceleration"),
         metavar="A[,A...]",
     ),
     "--jerk": option(
-        "jerk limits, likewise [rad/s^3] (the panda's are known; others have none)",
+        "jerk limits, given likewise [rad/s^3] (known for the panda; else no limit)",
         type=partial(_limits, "--jerk"),
         metavar="J[,J...]",
     ),
     "--effort": option(
-        "effort limits, likewise [Nm or N] (those of the URDF where they are plausible)",
+        "effort limits, given likewise [Nm or N] (those of the URDF if plausible)",
         type=partial(_limits, "--effort"),
         metavar="E[,E...]",
     ),
@@ -101,7 +103,7 @@ ROBOT: Options = {
     "--robot": option(
         "an arm by name: panda, ur5, xarm7, ...; cvqmpt robot lists them", metavar="NAME"
     ),
-    "--urdf": option("an arm of hinges and sliders", type=Path, metavar="ARM.urdf"),
+    "--urdf": option("an arm with revolute and prismatic joints", type=Path, metavar="ARM.urdf"),
     **ROBOT_DETAILS,
 }
 PROBLEM: Options = {
@@ -109,10 +111,10 @@ PROBLEM: Options = {
         "a suite (cvqmpt problems list), or a problem or task file", nargs="?", metavar="SUITE|FILE"
     ),
     "--problem": option("index in the suite (0)", type=int, default=0, metavar="I"),
-    "--problem-file": option("a problem of your own instead", type=Path, metavar="P.json"),
+    "--problem-file": option("a problem file instead of a suite", type=Path, metavar="P.json"),
     "--clearance": option(
-        "that robot and what it carries keep from obstacles; planned for and certified (0, or "
-        "the file's)",
+        "least distance of the robot and its load to obstacles, for planning and certificate (0, "
+        "or that of the file)",
         type=not_negative,
         metavar="M",
     ),
@@ -122,7 +124,7 @@ PROBLEM: Options = {
 BUDGET: Options = {
     "--cutoff": option("give up after S seconds (10)", type=positive, metavar="S"),
     "--iterations": option(
-        "give up after N iterations: repeatable bit for bit", type=positive_int, metavar="N"
+        "give up after N iterations; results repeat bit for bit", type=positive_int, metavar="N"
     ),
     "--backend": option(f"collision backend: {', '.join(BACKENDS)} (compiled)", default="compiled"),
 }
@@ -131,9 +133,11 @@ BUDGET: Options = {
 def robot_source(
     args: argparse.Namespace, problem_file: Path | None = None
 ) -> dict[str, Any] | None:
-    """What a problem file would say of the robot of the command line; None without one.
+    """Return the robot of the command line as a problem file describes it; None without one.
 
-    problem_file: whose robot options without --robot or --urdf speak of.
+    Args:
+        args: parsed command line.
+        problem_file: file whose robot is changed by options without --robot or --urdf.
     """
     options = robot_options(args)
     if args.robot is not None and args.urdf is not None:
@@ -160,12 +164,12 @@ def robot_source(
 
 
 def chosen_robot(args: argparse.Namespace) -> Robot:
-    """The robot of the command line; the Panda unless said otherwise."""
+    """Return the robot of the command line, by default the Panda."""
     return robot_from_source(robot_source(args) or {"name": "panda"})
 
 
 def robot_options(args: argparse.Namespace) -> dict[str, Any]:
-    """The options of `ROBOT_DETAILS` that were given, as fields of a problem file's robot."""
+    """Return the given options of `ROBOT_DETAILS` as fields of a problem file's robot."""
     given = {
         "end_effector": args.end_effector,
         "end_effectors": args.end_effectors,
@@ -181,19 +185,19 @@ def robot_options(args: argparse.Namespace) -> dict[str, Any]:
 
 
 def configuration(robot: Robot, option: str, text: str) -> np.ndarray:
-    """A configuration (n,) of the robot: numbers, or the name of a group_state of its SRDF."""
+    """Return a configuration (n,) from numbers or from the name of a group_state of the SRDF."""
     named = text if text in group_states(robot) else numbers(option, text, robot.joint_names)
     return np.array(numbers_of(robot, named, option))
 
 
 def pose_region(option: str, text: str) -> TaskSpaceRegion:
-    """The region of one end-effector pose."""
+    """Return the region of one end-effector pose."""
     x = numbers(option, text, ("x", "y", "z", "roll", "pitch", "yaw"))
     return from_plain(Region, {"pose": {"at": {"xyz": x[:3], "rpy": x[3:]}}}, option)
 
 
 def name_file(args: argparse.Namespace) -> None:
-    """Take SUITE|FILE as --problem-file or --task-file if it is a file."""
+    """Store SUITE|FILE as --problem-file or --task-file if it is a file."""
     if args.suite is None or args.suite in SUITES:
         return
     path = Path(args.suite)
@@ -209,8 +213,8 @@ def name_file(args: argparse.Namespace) -> None:
     args.suite = None
 
 
-def problem_asked(args: argparse.Namespace) -> PlanningProblem | Task:
-    """The problem or task of a suite or file."""
+def chosen_problem(args: argparse.Namespace) -> PlanningProblem | Task:
+    """Return the problem or task of a suite or file."""
     name_file(args)
     files = [name for name in ("problem_file", "task_file") if hasattr(args, name)]
     if sum(getattr(args, name) is not None for name in ("suite", *files)) != 1:
@@ -222,8 +226,8 @@ def problem_asked(args: argparse.Namespace) -> PlanningProblem | Task:
         return PlanningProblem.load(args.problem_file, robot=robot, clearance=args.clearance)
     if robot_source(args):
         raise InvalidInputError(
-            "--robot and --urdf go with --problem-file or --start: other problems are for their "
-            "own robot"
+            "--robot and --urdf go with --problem-file or --start; problems of suites and tasks "
+            "have their own robot"
         )
     if args.suite is None:
         return Task.load(args.task_file)
@@ -233,46 +237,45 @@ def problem_asked(args: argparse.Namespace) -> PlanningProblem | Task:
 def with_clearance(
     args: argparse.Namespace, problem: PlanningProblem | Task
 ) -> PlanningProblem | Task:
-    """The problem with --clearance; that of a task is a margin, since its hand touches things."""
+    """Return the problem with --clearance; a task has it as a margin: its hand touches objects."""
     if not args.clearance or isinstance(problem, Task):
         return problem
     return replace(problem, clearance=args.clearance)
 
 
 def budget(args: argparse.Namespace) -> Budget:
-    """The budget of the options; default 10 s."""
+    """Return the budget of the options, by default 10 s."""
     seconds = 10.0 if args.cutoff is None and args.iterations is None else args.cutoff
     return Budget(seconds=seconds, iterations=args.iterations)
 
 
-def optimize_option(usual: str = "") -> Options:
-    """--optimize; usual: what the help says of its default."""
+def optimize_option(default: str = "") -> Options:
+    """Return the option --optimize; `default` is appended to its help text."""
     text = (
-        "spend S seconds more on a shorter path (iterations, where only --iterations bounds the "
-        "run)"
+        "spend S seconds more on a shorter path (iterations, if only --iterations limits the run)"
     )
-    return {"--optimize": option(text + usual, type=not_negative, metavar="S")}
+    return {"--optimize": option(text + default, type=not_negative, metavar="S")}
 
 
-def optimize_budget(args: argparse.Namespace, usual: float | None = None) -> Budget | None:
-    """Budget of --optimize, in the unit that bounds the run; usual: its default [s]."""
+def optimize_budget(args: argparse.Namespace, default: float | None = None) -> Budget | None:
+    """Return the budget of --optimize in the unit that limits the run; `default` is in seconds."""
     if args.optimize is None and args.cutoff is None and args.iterations is not None:
-        return None  # a run that repeats
-    seconds = usual if args.optimize is None else args.optimize
+        return None  # the run must repeat bit for bit
+    seconds = default if args.optimize is None else args.optimize
     if not seconds:
         return None
     if args.iterations is None or args.cutoff is not None:
         return Budget(seconds=seconds)
     if args.optimize != int(args.optimize):
         raise InvalidInputError(
-            f"--optimize {args.optimize:g}: a run of --iterations {args.iterations} knows no "
-            "clock; give a whole number of iterations, or --cutoff beside it"
+            f"--optimize {args.optimize:g}: a run limited by --iterations {args.iterations} "
+            "measures no time; give a whole number of iterations, or add --cutoff"
         )
     return Budget(iterations=int(args.optimize))
 
 
 def planner_list(text: str) -> tuple[str, ...]:
-    """Names separated by commas; "all" is every planner."""
+    """Return names separated by commas; "all" means every planner."""
     if text == "all":
         return tuple(PLANNERS)
     return tuple(name.strip() for name in text.split(",") if name.strip())

@@ -54,38 +54,36 @@ from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.urdf import read_urdf
 from cvqmpt_lab.tasks.task import Task
 
-GOALS_WIN = (
-    "The goals are used as they are; take them out, and new ones are drawn from goal_region."
-)
-
 
 def run(args: argparse.Namespace) -> None:
-    """Build each problem; print a line or write a file."""
+    """Refuse options that do not go with the action, and run it."""
     goes_with = {
-        "problems": "list or export",
-        "out": "export or import",
-        "goals": "export",
-        "robot": "new",
-        "task": "new",
-        "door": "new",
-        "urdf": "new",
+        "problems": ("list", "export"),
+        "out": ("export", "import"),
+        "goals": ("export",),
+        "robot": ("new",),
+        "task": ("new",),
+        "door": ("new",),
+        "urdf": ("new",),
     }
-    for name, action in goes_with.items():
-        if getattr(args, name) and args.action not in action:
-            raise InvalidInputError(f"--{name} goes with {action}, not with {args.action}")
+    for name, actions in goes_with.items():
+        if getattr(args, name) and args.action not in actions:
+            raise InvalidInputError(
+                f"--{name} goes with {' or '.join(actions)}, not with {args.action}"
+            )
     ACTIONS[args.action](args)
 
 
 def _new(args: argparse.Namespace) -> None:
     path = Path(args.what)
     if path.exists():
-        raise InvalidInputError(f"{path} is there already; name another file")
+        raise InvalidInputError(f"{path} exists already; name another file")
     from cvqmpt_lab.benchmarks.task_template import task_template
     from cvqmpt_lab.benchmarks.templates import problem_template, with_limits
 
     if args.urdf is not None and args.end_effector is None and not args.end_effectors:
         args.end_effector = read_urdf(args.urdf).likely_end_effectors()[0]
-        print(f"end effector {args.end_effector}, a guess; --end-effector names another")
+        print(f"end effector {args.end_effector} is a guess; --end-effector chooses another")
     robot, notes = with_limits(robot_source(args) or {"name": "panda"})
     if args.task or args.door:
         kind, made = "task", task_template(robot, "door" if args.door else "drawer")
@@ -103,27 +101,27 @@ def _new(args: argparse.Namespace) -> None:
 
 
 def _import(args: argparse.Namespace) -> None:
-    """A scene of MoveIt as json that a problem, or `plan --scene`, names."""
+    """Convert a scene of MoveIt to a json file for a problem or `plan --scene`."""
     from cvqmpt_lab.scene.moveit_scenes import read_moveit_scene  # its meshes take 0.3 s to import
 
     source = Path(args.what)
     path = args.out or Path(f"{source.stem}.json")
     if path.exists():
-        raise InvalidInputError(f"{path} is there already; name another file with --out")
+        raise InvalidInputError(f"{path} exists already; name another file with --out")
     scene, frame = read_moveit_scene(source)
     write_text(writable_file(path), json_text(to_plain(scene)) + "\n")
-    seen = f"frame {frame!r}" if frame else "the file's frame"
+    named = f"frame {frame!r}" if frame else "the file's frame"
     print(
-        f"{path} written: {len(scene.objects)} objects; {seen} is taken for the robot's base frame"
+        f"{path} written: {len(scene.objects)} objects; {named} is used as the robot's base frame"
     )
     print(
-        f'name it in a problem, "scene": "{path.name}", or in: cvqmpt plan --scene {path} --start '
+        f'use it in a problem, "scene": "{path.name}", or in: cvqmpt plan --scene {path} --start '
         f"Q --goal Q"
     )
 
 
 def _fetch(args: argparse.Namespace) -> None:
-    """MotionBenchMaker's problems, into the cache."""
+    """Download MotionBenchMaker's problems into the cache."""
     require_choice("set of problems", args.what, ["motion-bench"])
     print(f"{fetch()}: 700 problems each of {', '.join(ROBOTS)}")
     print(f"MotionBenchMaker, from {ARCHIVE} on the package index, Apache-2.0")
@@ -131,26 +129,30 @@ def _fetch(args: argparse.Namespace) -> None:
 
 
 def _list(args: argparse.Namespace) -> None:
-    """A line for each problem."""
+    """Print a line for each problem."""
     for index, problem in _problems(args):
         print(f"{index}: start {' '.join(f'{x:.3f}' for x in problem.start)}")
 
 
 def _export(args: argparse.Namespace) -> None:
-    """A file for each problem."""
+    """Write a file for each problem."""
     if args.out is None:
         raise InvalidInputError("export needs --out DIR")
     make_folder(args.out)
     for index, problem in _problems(args):
         comment = {}
         if args.goals and isinstance(problem, PlanningProblem) and problem.goal_region is not None:
-            problem, comment = with_sampled_goals(problem)[0], {"_comment": GOALS_WIN}
+            problem = with_sampled_goals(problem)[0]
+            comment = {
+                "_comment": "These goals are used as they are; delete them to sample new ones from "
+                "goal_region."
+            }
         text = json_text({**comment, **problem.to_dict()}) + "\n"
         write_text(args.out / f"{args.what}-{index:03d}.json", text)
 
 
 def _problems(args: argparse.Namespace) -> Iterator[tuple[int, PlanningProblem | Task]]:
-    """The suite's problems with their index; unsolvable ones are printed and counted."""
+    """Yield the suite's problems with their index; print and count unsolvable ones."""
     if os.sep in args.what:
         raise UnknownChoiceError("suite", args.what, SUITES)
     suite = suite_named(args.what)
@@ -187,21 +189,21 @@ OPTIONS: Options = {
         type=Path,
         metavar="DIR|S.json",
     ),
-    "--goals": option("write sampled goals beside the goal region (with export)", **FLAG),
-    "--task": option("a task of several phases, a drawer to open (with new)", **FLAG),
-    "--door": option("the same with a door (with new)", **FLAG),
+    "--goals": option("write sampled goals in addition to the goal region (with export)", **FLAG),
+    "--task": option("write a task that opens a drawer (with new)", **FLAG),
+    "--door": option("write a task that opens a door (with new)", **FLAG),
     "robot of the new problem (the panda)": ROBOT,
 }
 
 
 def ik(args: argparse.Namespace) -> int:
-    """Sample, print; exit code 1 when there is none."""
+    """Sample and print configurations; return 1 if there is none."""
     data = read_json_object(args.problem_file, "problem file")
     region = _region(args, data)
     with located(str(args.problem_file)):
         data = PlanningProblem.with_named_files(data, args.problem_file.parent)
         robot = robot_from_source(mapping(data.get("robot"), "robot"))
-        middle = 0.5 * (robot.lower + robot.upper)  # stands for a start that may still be missing
+        middle = 0.5 * (robot.lower + robot.upper)  # used as start, which may be missing
         given = {**data, "start": middle, "start_region": None, "goals": [], "goal_region": region}
         problem = PlanningProblem.from_dict(given)
     found = find_in_region(
@@ -227,7 +229,7 @@ def ik(args: argparse.Namespace) -> int:
 
 
 def _region(args: argparse.Namespace, data: dict) -> TaskSpaceRegion:
-    """The region asked for."""
+    """Return the region of --pose or --region."""
     if args.pose is not None:
         return args.pose
     if args.region in ("goal_region", "start_region"):
@@ -253,9 +255,11 @@ IK: Options = {
             type=partial(pose_region, "--pose"),
             metavar="'X Y Z R P Y'",
         ),
-        "--region": option("as in a problem file; or goal_region or start_region of the file"),
+        "--region": option("region as json, or goal_region or start_region of the file"),
     },
-    "--count": option("how many at most (1)", type=positive_int, default=1, metavar="N"),
+    "--count": option(
+        "largest number of configurations (1)", type=positive_int, default=1, metavar="N"
+    ),
     **SEED,
     "--json": option("print one json object", **FLAG),
 }

@@ -45,7 +45,7 @@ from cvqmpt_lab.results.provenance import PROVENANCE_FILE
 from cvqmpt_lab.tasks.task import Task
 
 ALL = "all"
-FIXED = (
+FIXED_BY_PROFILE = (
     "problems",
     "problems_dir",
     "seeds",
@@ -56,11 +56,11 @@ FIXED = (
     "iterations",
     "optimize",
 )
-"""Options that profiles of all suites decide."""
+"""Options whose values a profile of `reproduce all` fixes."""
 
 
 def run(args: argparse.Namespace) -> None:
-    """Run what is missing in --out, then render its tables."""
+    """Do the runs that are missing in --out, then render its tables."""
     if args.suite == ALL:
         _reproduce_all(args)
         return
@@ -87,11 +87,10 @@ def run(args: argparse.Namespace) -> None:
     show_tables(out)
 
 
-class Whole:
-    """Bars of experiments that follow each other, with the time left of all in their notes.
+class OverallProgress:
+    """Progress bars of consecutive experiments; their notes estimate the time left for all.
 
-    Runs of problems are taken to last equally long, and those of tasks 20 times as long: with
-    --profile small it was 0.3 s and 7 s.
+    A run of a task counts as 20 runs of problems: with --profile small they took 7 s and 0.3 s.
     """
 
     def __init__(self, experiments: Iterable[Experiment]) -> None:
@@ -104,7 +103,7 @@ class Whole:
         return 20 if isinstance(item, Task) else 1
 
     def bar(self, name: str, experiment: Experiment) -> Callable[[int, int, str], None]:
-        """The progress of the next experiment; runs kept from an earlier session take no time."""
+        """Return the bar of the next experiment; runs of earlier sessions take no time."""
         bar, weight, shown = ProgressBar(name), self._weight(experiment), -1
 
         def show(done: int, total: int, note: str) -> None:
@@ -120,22 +119,22 @@ class Whole:
 
 
 def _reproduce_all(args: argparse.Namespace) -> None:
-    """Run what is missing, render everything and print the verdicts."""
+    """Do the missing runs of all suites, render their tables and print the verdicts."""
     refuse_given(
         args,
-        FIXED,
+        FIXED_BY_PROFILE,
         "does not go with 'all', whose amounts are fixed; --profile small runs less, or name one "
         "suite",
     )
     parts, out = parts_of(args.profile), args.out or Path("runs/all")
     jobs = args.jobs or default_jobs()
     compile_kernels(log)
-    whole = Whole(part.experiment for part in parts)
+    overall = OverallProgress(part.experiment for part in parts)
     for name, experiment, command in parts:
         folder = out / name
         command += ["--profile", args.profile, "--jobs", str(jobs), "--out", str(folder)]
         with executor_for(experiment, jobs) as executor:
-            run_experiment(experiment, folder, executor, command, whole.bar(name, experiment))
+            run_experiment(experiment, folder, executor, command, overall.bar(name, experiment))
         render_directory(folder)
     figure, count = "histogram", 30
     folder = out / figure
@@ -144,21 +143,20 @@ def _reproduce_all(args: argparse.Namespace) -> None:
         reproduce_figure(figure, folder, command, range(count))
     page = out / "claims.md"
     write_text(page, page_of(out))
-    print("\n".join(verdict_lines(out, beside=True)))
+    print("\n".join(verdict_lines(out, with_committed=True)))
     print(f"every claim, its numbers and commands: {page}")
     write_report(out)
 
 
 OPTIONS: Options = {
-    "suite": option(f"what to reproduce: {', '.join(SUITES)}; or all of it: {ALL}", nargs="?"),
+    "suite": option(f"suite to reproduce: {', '.join(SUITES)}; or {ALL}", nargs="?"),
     "--problems-dir": option(
-        "or a folder of problem files (*.json), by their names; the suite is called like the "
-        "folder",
+        "instead, a folder of problem files (*.json); it becomes a suite with the folder's name",
         type=Path,
         metavar="DIR",
     ),
     "--profile": option(
-        f"of {ALL}: {', '.join(PROFILES)}; on two cores three hours, 1 to 3 minutes (full)",
+        f"with {ALL}: {', '.join(PROFILES)}; three hours, or 1 to 3 minutes, on two cores (full)",
         default="full",
     ),
     "--problems": option(
@@ -166,7 +164,7 @@ OPTIONS: Options = {
     ),
     "--seeds": option("seeds 0 to K-1 (1)", type=positive_int, metavar="K"),
     "--planners": option(
-        f"of {', '.join(PLANNERS)}, an entry point, package.module:planner (all that can)",
+        f"{', '.join(PLANNERS)}, an entry point, or package.module:planner (those of the suite)",
         type=planner_list,
         metavar="A,B",
     ),
@@ -176,9 +174,11 @@ OPTIONS: Options = {
     **optimize_option(),
     ONE_OF: {
         "--jobs": option("processes (one per core)", type=positive_int, metavar="J"),
-        "--dask": option("a Dask scheduler that runs it: tcp://HOST:8786", metavar="ADDRESS"),
+        "--dask": option(
+            "address of a Dask scheduler for the runs: tcp://HOST:8786", metavar="ADDRESS"
+        ),
     },
-    "--out": option("where results go (runs/SUITE)", type=Path, metavar="DIR"),
+    "--out": option("folder of the results (runs/SUITE)", type=Path, metavar="DIR"),
 }
 
 
@@ -199,13 +199,13 @@ def figure(args: argparse.Namespace) -> None:
 FIGURE: Options = {
     "figure": option(f"one of {', '.join(FIGURES)}", type=one_of("figure", FIGURES)),
     "--problem": option(
-        "of concept: index of the place task's problem (0)", type=int, default=0, metavar="I"
+        "for concept: index of the place task's problem (0)", type=int, default=0, metavar="I"
     ),
     "--problems": option(
-        "of histogram: the first N problems (30)", type=positive_int, default=30, metavar="N"
+        "for histogram: the first N problems (30)", type=positive_int, default=30, metavar="N"
     ),
     **WEIGHTS,
     **SEED,
-    "--out": option("where results go (runs/FIGURE)", type=Path, metavar="DIR"),
+    "--out": option("folder of the results (runs/FIGURE)", type=Path, metavar="DIR"),
 }
 COMMANDS = {"reproduce": (run, OPTIONS), "figure": (figure, FIGURE)}

@@ -22,7 +22,7 @@ from cvqmpt_lab.scene.scene import Scene
 
 
 def run(args: argparse.Namespace) -> None:
-    """Load the robot and report."""
+    """Print a report on a robot, or the names of known robots."""
     if args.robot is None:
         for name, arm in ARMS.items():
             hands = arm.end_effector or " and ".join(arm.end_effectors)
@@ -46,9 +46,11 @@ def run(args: argparse.Namespace) -> None:
 
 
 def describe(robot: Robot, tried: int = 200) -> dict[str, Any]:
-    """The robot model as plain json.
+    """Return the robot model as plain json.
 
-    tried: random configurations, for the share that is free of self-collision.
+    Args:
+        robot: the model.
+        tried: number of random configurations for the share free of self-collision.
     """
     velocity = np.array(robot.model.upperVelocityLimit)
     states = robot.random_configurations(np.random.default_rng(0), tried)
@@ -85,12 +87,14 @@ def describe(robot: Robot, tried: int = 200) -> dict[str, Any]:
 
 
 def report(robot: Robot, said: dict[str, Any], others: list[str]) -> Iterator[str]:
-    """The lines a person reads."""
+    """Yield the lines of the report on a robot and what `describe` returned of it."""
     yield (
         f"robot        {robot.name}: {robot.dof} joints, reach {robot.reach:.2f} m, digest "
         f"{robot.kinematics_digest}"
     )
-    chosen = f" (a guess of {', '.join(others)}: --end-effector names another)" if others else ""
+    chosen = (
+        f" (guessed from {', '.join(others)}: --end-effector chooses another)" if others else ""
+    )
     yield f"end effector {' and '.join(robot.end_effectors)}{chosen}"
     for joint in said["joints"]:
         unit = "m" if joint["kind"] == "prismatic" else "rad"
@@ -107,7 +111,7 @@ def report(robot: Robot, said: dict[str, Any], others: list[str]) -> Iterator[st
     yield f"frames       {len(said['frames'])}: {_few(said['frames'])}"
     yield f"pieces       {len(robot.links)}: {_few([piece.name for piece in robot.links])}"
     if not robot.links:
-        yield "             none: nothing of it can collide; give its links <collision> in the URDF"
+        yield "             none: nothing can collide; add <collision> to the links in the URDF"
     reasons = Counter(pair.reason for pair in robot.left_out_pairs)
     left = ", ".join(f"{count} {reason}" for reason, count in reasons.items()) or "none"
     yield (
@@ -132,7 +136,7 @@ def _few(names: list[str], most: int = 8) -> str:
 
 
 OPTIONS: Options = {
-    "robot": option("none: the names are listed", nargs="?", metavar="URDF_OR_NAME"),
+    "robot": option("without it, the known names are listed", nargs="?", metavar="URDF_OR_NAME"),
     **ROBOT_DETAILS,
     "--json": option("print everything as one json object", **FLAG),
     "--picture": option("draw its collision pieces", type=writable_file, metavar="FILE.png"),

@@ -1,6 +1,6 @@
-"""`cvqmpt scan`: depth images or clouds in; a clean cloud or scene out.
+"""`cvqmpt scan`: make a clean cloud or a scene from depth images or clouds.
 
-With it the options of a motion among what was scanned, which other commands have.
+Other commands use its options, and those of a single motion among scanned obstacles.
 """
 
 import argparse
@@ -53,67 +53,74 @@ from cvqmpt_lab.sensing.scan import (
 )
 
 CORNERS = ("X0", "Y0", "Z0", "X1", "Y1", "Z1")
-USUAL = ScanSettings()
+DEFAULTS = ScanSettings()
 SCAN: Options = {
-    "cameras of the scan; options are repeated in the order of the files": {
+    "cameras of the scan; repeat the options in the order of the files": {
         "--intrinsics": option(
-            "of a depth image: width, height, fx, fy, cx, cy, or a ROS camera_info",
+            "intrinsics of a depth image: width, height, fx, fy, cx, cy, or a ROS camera_info",
             type=Path,
             metavar="F.json|yaml",
             **REPEATED,
         ),
         "--extrinsics": option(
-            "pose of the camera in the robot's base frame, x right, y down, z ahead: 4x4, xyz + "
-            "quaternion or rpy, ROS's translation + rotation; else points are in the base frame",
+            "camera pose in the robot's base frame, x right, y down, z forward: 4x4, xyz + "
+            "quaternion or rpy, or ROS's translation + rotation (the base frame)",
             type=Path,
             metavar="F.json|yaml",
             **REPEATED,
         ),
-        "--scale": option("[m] of a unit (1; of a 16-bit image 0.001)", type=positive, metavar="M"),
-        "--level": option("find the table, put it level: without --extrinsics", choices=("table",)),
+        "--scale": option(
+            "metres per unit (1; 0.001 for a 16-bit image)", type=positive, metavar="M"
+        ),
+        "--level": option(
+            "find the table and level it, instead of --extrinsics", choices=("table",)
+        ),
         "--down": option(
-            f"angle by which the camera of --level looks down, to 30 deg ({USUAL.down:g}): 0 is "
-            "ahead, 90 straight down",
+            f"downward pitch of the camera of --level, known to 30 deg ({DEFAULTS.down:g}): 0 is "
+            "horizontal, 90 straight down",
             type=not_negative,
             metavar="DEG",
         ),
         "--front": option(
-            "where --level puts the table's near edge (0.3,0,0) [m]",
+            "position of the table's near edge with --level (0.3,0,0) [m]",
             type=partial(numbers, "--front", names=("X", "Y", "Z")),
             metavar="X,Y,Z",
         ),
     },
     "filters of the scan": {
         "--crop": option(
-            "keep what lies between two corners [m] (all)",
+            "keep the points between two corners [m] (all)",
             type=partial(numbers, "--crop", names=CORNERS),
             metavar=",".join(CORNERS),
         ),
         "--voxel": option(
-            f"edge of voxels ({USUAL.voxel})", type=positive, default=USUAL.voxel, metavar="M"
+            f"edge length of voxels ({DEFAULTS.voxel})",
+            type=positive,
+            default=DEFAULTS.voxel,
+            metavar="M",
         ),
         "--robot-margin": option(
-            f"points this near to the arm are the arm ({USUAL.robot_margin})",
+            f"remove points closer to the arm than this ({DEFAULTS.robot_margin})",
             type=float,
-            default=USUAL.robot_margin,
+            default=DEFAULTS.robot_margin,
             metavar="M",
         ),
         "--arm-at": option("configuration of the arm when the scan was taken", metavar="Q"),
         "--neighbours": option(
-            f"points with fewer within three voxels go ({USUAL.neighbours})",
+            f"remove points with fewer neighbours within three voxels ({DEFAULTS.neighbours})",
             type=int,
-            default=USUAL.neighbours,
+            default=DEFAULTS.neighbours,
             metavar="N",
         ),
         "--plane": option(
-            "the points of the supporting plane (keep)",
+            "treatment of the points of the supporting plane (keep)",
             choices=("keep", "box", "remove"),
             default="keep",
         ),
     },
-    "obstacles made of the scan": {
+    "obstacles made from the scan": {
         "--map": option(
-            f"edge of the cells of a map ({MAP_RESOLUTION_M})",
+            f"edge length of the cells of a map ({MAP_RESOLUTION_M})",
             type=positive,
             default=MAP_RESOLUTION_M,
             metavar="M",
@@ -122,23 +129,32 @@ SCAN: Options = {
             "inflation radius of the cells (0)", type=float, default=0.0, metavar="M"
         ),
         "--unknown": option(
-            "cells that no ray of a camera crossed (free)",
+            "state of cells that no camera ray crossed (free)",
             choices=("free", "occupied"),
             default="free",
         ),
         "--radius": option(
-            "balls around the points instead; 0.87 voxels cover all", type=positive, metavar="M"
+            "radius of balls around the points, instead of a map; 0.87 voxels leave no gap",
+            type=positive,
+            metavar="M",
         ),
     },
 }
 
 
 def scan_of(args: argparse.Namespace, files: Sequence[Path], robot: Robot, arm: Arm | None) -> Scan:
-    """Read and clean the files as the options of `SCAN` say; arm: the robot as it stood then."""
+    """Read and clean scanned files by the options of `SCAN`.
+
+    Args:
+        args: parsed command line.
+        files: clouds and depth images.
+        robot: the robot; no point above its reach is kept.
+        arm: the robot as it stood during the scan; None: no point is removed as the robot's.
+    """
     if args.level and args.extrinsics:
         raise InvalidInputError("--level and --extrinsics: give one of the two")
     if not args.level:
-        refuse_given(args, ("front", "down"), "is that of --level table; give it")
+        refuse_given(args, ("front", "down"), "goes with --level table; give it")
     intrinsics = _each("--intrinsics", args.intrinsics, files)
     extrinsics = _each("--extrinsics", args.extrinsics, files)
     cameras = zip(files, intrinsics, extrinsics, strict=True)
@@ -162,7 +178,7 @@ def scan_of(args: argparse.Namespace, files: Sequence[Path], robot: Robot, arm: 
 
 
 def scene_of(args: argparse.Namespace, made: Scan, arm: Arm | None) -> Scene:
-    """The scan as obstacles; arm: the robot, which stands in known space."""
+    """Return the scan as obstacles; the space inside `arm` counts as seen."""
     if args.radius is not None:
         return made.scene(PointCloud(made.points, args.radius) if len(made.points) else None)
     if len(made.points) == 0 and args.unknown == "free":
@@ -177,7 +193,7 @@ def scene_of(args: argparse.Namespace, made: Scan, arm: Arm | None) -> Scene:
 
 
 def _each(option: str, given: Sequence[Path], files: Sequence[Path]) -> Sequence[Path | None]:
-    """A value for each file: one each, or none."""
+    """Return a value for each file, which are all given or all None."""
     if given and len(given) != len(files):
         raise InvalidInputError(
             f"{option} is given {len(given)} times for {len(files)} files; give one for each"
@@ -186,7 +202,7 @@ def _each(option: str, given: Sequence[Path], files: Sequence[Path]) -> Sequence
 
 
 def scan_report(made: Scan, files: Sequence[Path]) -> Iterator[str]:
-    """The lines a person reads."""
+    """Yield the lines of the report on a scan."""
     names = ", ".join(path.name for path in files)
     yield (
         f"scan        {names}: {made.steps[0].before} points, {made.dropped} pixels or rows "
@@ -234,9 +250,9 @@ MOTION: Options = {
             metavar="X,Y,Z,R,P,Y",
         ),
         "--constraint": option(
-            f"{', '.join(NAMED)} (the first three keep how the end effector is oriented at the "
-            "start, relative-pose=HAND how the other one is held to that one), or a region as "
-            "json; repeatable",
+            f"{', '.join(NAMED)} (the first three keep the end effector's orientation at the "
+            "start, relative-pose=HAND keeps the other hand's pose relative to HAND), or a region "
+            "as json; repeatable",
             metavar="NAME[=VALUE]|JSON",
             **REPEATED,
         ),
@@ -245,12 +261,12 @@ MOTION: Options = {
 
 
 def motion_given(args: argparse.Namespace) -> bool:
-    """Whether start, goal or constraint are given."""
+    """Return whether start, goal or constraint are given."""
     return any((args.start, args.start_pose, args.goal, args.goal_pose, args.constraint))
 
 
 def motion_problem(args: argparse.Namespace) -> PlanningProblem:
-    """The problem of the options: from --start to --goal, obstacles from --cloud or --scene."""
+    """Return the problem from --start to --goal with the obstacles of --cloud or --scene."""
     if (args.start is None) == (args.start_pose is None) or not (args.goal or args.goal_pose):
         raise InvalidInputError(
             "a motion needs --start Q or --start-pose X,Y,Z,R,P,Y, one of the two, and --goal Q or "
@@ -283,7 +299,7 @@ def motion_problem(args: argparse.Namespace) -> PlanningProblem:
 
 
 def _start(args: argparse.Namespace, robot: Robot) -> np.ndarray:
-    """The configuration (n,) of --start, or one at --start-pose that touches nothing of --scene."""
+    """Return the configuration (n,) of --start, or one at --start-pose that is free in --scene."""
     if args.start is not None:
         return configuration(robot, "--start", args.start)
     scene = Scene("none", ()) if args.scene is None else read_scene(args.scene)
@@ -303,12 +319,12 @@ def scanned(args: argparse.Namespace, arm: Arm) -> Scan:
 
 
 def arm_of(args: argparse.Namespace, robot: Robot, q: np.ndarray) -> Arm:
-    """The robot during the scan: at --arm-at, else at q (n,)."""
+    """Return the robot during the scan: at --arm-at, or else at q (n,)."""
     return Arm(robot, q if args.arm_at is None else configuration(robot, "--arm-at", args.arm_at))
 
 
 def _constraint(text: str, robot: Robot, start: np.ndarray) -> TaskSpaceRegion:
-    """A region from NAME, NAME=VALUE with a value for the region's first field, or json."""
+    """Return a region from NAME, NAME=VALUE (VALUE: the region's first field), or json."""
     if text.lstrip().startswith("{"):
         return from_plain(Region, json_object(text, "--constraint"), "--constraint")
     name, _, value = text.partition("=")
@@ -337,7 +353,7 @@ def _constraint(text: str, robot: Robot, start: np.ndarray) -> TaskSpaceRegion:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Read, clean, report, write."""
+    """Read and clean a scan, report on it and write files."""
     robot = chosen_robot(args)
     arm = None if args.arm_at is None else Arm(robot, configuration(robot, "--arm-at", args.arm_at))
     made = scan_of(args, args.files, robot, arm)
@@ -376,11 +392,11 @@ OPTIONS: Options = {
         **REPEATED,
     ),
     "--picture": option(
-        "raw and removed points, cameras, axes, obstacles; a robot if --robot or --urdf names it",
+        "picture of points (also removed ones), cameras, axes, obstacles, and of a named robot",
         type=writable_file,
         metavar="P.png",
     ),
     **SCAN,
-    "the robot whose points go (panda)": ROBOT,
+    "the robot whose points are removed (panda)": ROBOT,
 }
 COMMANDS = {"scan": (run, OPTIONS)}

@@ -20,16 +20,16 @@ BENCHES = ("stages", "paper-check")
 
 
 class Finding(NamedTuple):
-    """One thing that `cvqmpt doctor` checked."""
+    """Result of one check of `cvqmpt doctor`."""
 
     what: str
     says: str
-    cure: str = ""  # how to mend it; empty when it is fine
+    cure: str = ""  # how to repair it; empty if nothing is wrong
     needed: bool = True  # whether planning fails without it
 
 
 def doctor(args: argparse.Namespace) -> int:
-    """Check everything; exit code 1 when something that planning needs is broken."""
+    """Check everything; return 1 if something that planning needs is broken."""
     cores = f"{len(os.sched_getaffinity(0))} of {os.cpu_count()} cores for this process"
     threads = [f"{name}={os.environ.get(name, 'not set')}" for name in THREADS]
     found = [
@@ -40,14 +40,17 @@ def doctor(args: argparse.Namespace) -> int:
         _kernels(),
     ]
     for what, says, cure, needed in found:
-        state = "ok" if not cure else "BROKEN" if needed else "without"
-        head, text = f"{state:8} {what:10} ", f"{says}; {cure}" if cure else says
-        print(textwrap.fill(head + text, 100, subsequent_indent=" " * 20, break_long_words=False))
+        state, text = "ok", says
+        if cure:
+            state = "BROKEN" if needed else "without"
+            text = f"{says}; {cure}"
+        line = f"{state:8} {what:10} {text}"
+        print(textwrap.fill(line, 100, subsequent_indent=" " * 20, break_long_words=False))
     return 1 if any(item.cure and item.needed for item in found) else 0
 
 
 def _packages() -> Iterator[Finding]:
-    """Packages of the project, and those of each extra."""
+    """Check the packages of the project, and those of each extra."""
     try:
         declared = [Requirement(text) for text in metadata.requires("cvqmpt-lab") or ()]
     except metadata.PackageNotFoundError:
@@ -62,7 +65,7 @@ def _packages() -> Iterator[Finding]:
 
 
 def _finding(name: str, asked: Sequence[Requirement], extra: bool = False) -> Finding:
-    """Which of these packages are installed, and how to install the rest."""
+    """Return which of these packages are installed, and how to install the rest."""
     versions, missing = [], []
     for item in asked:
         try:
@@ -98,14 +101,14 @@ def _kernels() -> Finding:
         return Finding("kernels", f"numba cannot be used: {error}", cure)
     if folder() is None:
         cure = "set NUMBA_CACHE_DIR to a writable folder"
-        return Finding("kernels", "no place to keep them", cure, needed=False)
+        return Finding("kernels", "no folder to store them", cure, needed=False)
     if not compiled_before():
         return Finding("kernels", f"not compiled yet in {folder()}", "cvqmpt warmup", needed=False)
     return Finding("kernels", f"compiled in {folder()}")
 
 
 def warmup(args: argparse.Namespace) -> None:
-    """Compile every kernel ahead of time, or load what is compiled."""
+    """Compile every kernel ahead of time, or load compiled ones."""
     from cvqmpt_lab.planning.warm_up import compile_kernels
 
     seconds = compile_kernels(lambda text: print(text, flush=True))
@@ -133,7 +136,9 @@ def bench(args: argparse.Namespace) -> None:
 
 OPTIONS: Options = {
     "bench": option(", ".join(BENCHES), type=one_of("bench", BENCHES)),
-    "--problems": option("of stages: problems (20)", type=positive_int, default=20, metavar="N"),
+    "--problems": option(
+        "number of problems for stages (20)", type=positive_int, default=20, metavar="N"
+    ),
     "--json": option("write the figures as json too", type=writable_file, metavar="F"),
 }
 COMMANDS = {"doctor": (doctor, {}), "warmup": (warmup, {}), "bench": (bench, OPTIONS)}

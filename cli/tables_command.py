@@ -1,4 +1,4 @@
-"""`cvqmpt table`, `report`, `compare`, `claims` and `check-tables`: evaluate finished rows."""
+"""`cvqmpt table`, `report`, `compare`, `claims` and `check-tables`: evaluate the rows of runs."""
 
 import argparse
 import time
@@ -41,14 +41,14 @@ from cvqmpt_lab.results.store import directory_rows
 
 
 def show_tables(directory: Path) -> None:
-    """Render a directory, print a line for each planner, and where the files are."""
+    """Render the tables of a directory; print a line for each planner, and a path."""
     written = render_directory(directory)
     title, *lines = written.brief
     print("\n".join([f"{title}; all numbers: {directory / 'table.md'}", *lines]))
 
 
 def write_report(directory: Path, out: Path | None = None) -> None:
-    """Write one html file about results, into their folder unless `out` is given; print where."""
+    """Write an html file about results, into their folder unless `out` is given; print its path."""
     from cvqmpt_lab.experiments.replay import first_path
 
     found = pages.evidence_of(directory)
@@ -87,7 +87,7 @@ def compare(args: argparse.Namespace) -> int:
 
 
 def _rule(text: str) -> Any:
-    """The type of --fail-if."""
+    """Return the rule of one --fail-if."""
     from cvqmpt_lab.paper_tables.compare_runs import Rule
 
     return Rule.read(text)
@@ -117,20 +117,22 @@ def claims(args: argparse.Namespace) -> None:
 
 
 def page_of(results: Path) -> str:
-    """The page of claims of a folder of results directories."""
+    """Return the page of claims for a folder of results directories."""
     found = _found(results)
     return pages.page_text(found, judged_claims(found), results)
 
 
-def verdict_lines(results: Path, beside: bool = False) -> list[str]:
-    """A line for each claim, and the effect of each step.
+def verdict_lines(results: Path, with_committed: bool = False) -> list[str]:
+    """Return a line for each claim, and the effect of each step.
 
-    beside: with the verdicts of the committed rows.
+    Args:
+        results: folder of results directories.
+        with_committed: whether to add the verdicts of the committed rows.
     """
     found = _found(results)
     judged = judged_claims(found)
     shown = pages.summary_lines(judged)
-    if beside:
+    if with_committed:
         shown = pages.beside_lines(judged, judged_claims(evidence_below(RESULTS)))
     lines = [banner(found), *text_lines(shown)]
     steps = pages.decomposition_lines(found["place-task"]) if "place-task" in found else []
@@ -141,18 +143,18 @@ def verdict_lines(results: Path, beside: bool = False) -> list[str]:
 def _found(results: Path) -> dict[str, Evidence]:
     if not committed_directories(results):
         raise InvalidInputError(
-            f"{results} holds no results directories; name a folder that does: runs/all"
+            f"{results} holds no results directories; name a folder with some, such as runs/all"
         )
     return evidence_below(results)
 
 
 def check_tables(args: argparse.Namespace) -> int:
-    """Run a little again and compare it with what is expected, or write that; 1 if it differs.
+    """Repeat runs and compare them with expectations, or write these; return 1 on a difference.
 
     Runs are those of `regression`, or of planners on a folder of problem files.
     """
     if args.folder is None:
-        return _check_ours(args)
+        return _check_committed(args)
     from cvqmpt_lab.experiments.run import default_jobs
     from cvqmpt_lab.planning.warm_up import compile_kernels
 
@@ -162,7 +164,7 @@ def check_tables(args: argparse.Namespace) -> int:
     if args.update:
         writable_file(path)
         if not planners:
-            raise InvalidInputError("--update needs --planners A,B: those to be guarded")
+            raise InvalidInputError("--update needs --planners A,B, the planners to guard")
         guarded = regression.Guarded(planners, range(args.seeds or 1), args.iterations or 20_000)
     elif args.seeds or args.iterations:
         raise InvalidInputError(
@@ -183,20 +185,22 @@ def check_tables(args: argparse.Namespace) -> int:
         print(f"{len(outcomes)} runs, {solved} solved; expectations written to {path}")
         return 0
     mode, lines = regression.compare(expected, outcomes, made_with, args.within / 100)
-    return _told({f"{len(outcomes)} runs compared {mode}": lines})
+    return _print_differences({f"{len(outcomes)} runs compared {mode}": lines})
 
 
-def _told(found: Mapping[str, Sequence[str]]) -> int:
-    """Print what was compared and every difference; 1 if there is one."""
+def _print_differences(found: Mapping[str, Sequence[str]]) -> int:
+    """Print the differences found in each comparison; return 1 if there is one."""
     for what, lines in found.items():
-        print(f"{what}: {f'{len(lines)} differences' if lines else 'no difference'}")
-    for line in (line for lines in found.values() for line in lines):
-        print(f"  differs: {line}")
+        count = f"{len(lines)} differences" if lines else "no difference"
+        print(f"{what}: {count}")
+    for lines in found.values():
+        for line in lines:
+            print(f"  differs: {line}")
     return 1 if any(found.values()) else 0
 
 
-def _check_ours(args: argparse.Namespace) -> int:
-    """Re-run a tiny profile; compare it and all tables with those committed."""
+def _check_committed(args: argparse.Namespace) -> int:
+    """Repeat a few runs; compare them and all tables with the committed ones."""
     from cvqmpt_lab.experiments.experiment import models_of
 
     of_folder = ("planners", "seeds", "iterations", "jobs")
@@ -235,7 +239,7 @@ def _check_ours(args: argparse.Namespace) -> int:
         ],
         "the page of claims and the README's verdicts": stale,
     }
-    return _told(found)
+    return _print_differences(found)
 
 
 TABLE: Options = {
@@ -245,7 +249,7 @@ REPORT: Options = {
     "directory": option(
         "a results directory, or a folder that holds several", type=Path, metavar="DIR"
     ),
-    "--out": option("the file that is written (DIR/report.html)", type=Path, metavar="FILE"),
+    "--out": option("file to write (DIR/report.html)", type=Path, metavar="FILE"),
 }
 COMPARE: Options = {
     "before": option("a results directory", type=Path, metavar="A"),
@@ -253,9 +257,9 @@ COMPARE: Options = {
         "another, of the same suite; the runs that both have are compared", type=Path, metavar="B"
     ),
     "--fail-if": option(
-        "exit with 1 if a planner's number is so: COLUMN OP NUMBER, where COLUMN is the ratio B/A "
-        "of time, work, checks, projections or length, or solved, B - A in points; OP is <, <=, "
-        "> or >=; or if B lacks a planner of A; repeatable",
+        "exit with 1 if COLUMN OP NUMBER holds for a planner, where COLUMN is the ratio B/A of "
+        "time, work, checks, projections or length, or solved, B - A in percentage points; OP is "
+        "<, <=, > or >=; also if B lacks a planner of A; repeatable",
         type=_rule,
         metavar="RULE",
         **REPEATED,
@@ -263,26 +267,29 @@ COMPARE: Options = {
 }
 CLAIMS: Options = {
     "results": option(
-        "folder of results directories, where claims.md goes (the committed ones, with page and "
-        "README)",
+        "folder of results directories, in which claims.md is written (the committed ones, with "
+        "page and README)",
         type=Path,
         nargs="?",
         metavar="DIR",
     ),
-    "--write": option("write page, README and pictures; without, verdicts are printed", **FLAG),
+    "--write": option(
+        "write page, README and pictures; without it, only print the verdicts", **FLAG
+    ),
 }
 CHECK_TABLES: Options = {
     "folder": option(
-        "a folder of problem files, whose expectations are compared in place of the committed "
-        "ones: all values but times must be equal with the same processor and versions; with "
-        "others reasons of failure must be, and sums may differ by --within",
+        "a folder of problem files, whose expectations are compared instead of the committed "
+        "ones: with the same processor and versions all values but times must be equal; with "
+        "others only reasons of failure, and sums may differ by --within",
         type=Path,
         nargs="?",
         metavar="FOLDER",
     ),
     "--update": option("write the expectations instead of comparing", **FLAG),
     "--all": option(
-        "all committed runs (the first of every planner in every suite, and a failure)", **FLAG
+        "repeat all committed runs (the first of every planner in every suite, and a failure)",
+        **FLAG,
     ),
     "--within": option(
         "with another processor or other versions, each count and the path length, summed over a "

@@ -310,7 +310,7 @@ def test_every_path_of_a_run_is_judged_again_from_its_rows(tmp_path, cvqmpt, cap
     with executor_for(experiment, 1) as executor:
         run_experiment(experiment, tmp_path, executor, ["test"], lambda *_: None)
     told = cvqmpt("certify", tmp_path)
-    assert told == "2 paths, 2 certified, 0 refused, 0 unlike their rows\n"
+    assert told == "2 paths, 2 certified, 0 refused, 0 differ from their rows\n"
 
     rows = read_rows(tmp_path / RUNS_FILE)
     kept = dict(stored_paths(tmp_path))

@@ -76,7 +76,7 @@ def test_every_command_has_help_with_examples(capsys, command):
 
 def test_no_verdict_where_standard_output_is_closed():
     said = run(["certify", "x.csv", "place-task"], lambda: os.close(1), code=2)
-    assert said == "cvqmpt: standard output is closed; give one, such as /dev/null\n"
+    assert said == "cvqmpt: standard output is closed; redirect it, as to /dev/null\n"
     run(["plan", "nope"], lambda: os.close(2), code=2)
 
 

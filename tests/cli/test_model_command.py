@@ -41,7 +41,7 @@ def test_published_folders_are_converted_and_predict(
     predictor = PublishedPredictor(load_vq_mpt(panda, ours), panda)
     scene = predictor.encode(rng.uniform(-0.5, 0.5, (50, 3)))
     assert len(predictor.hypotheses(scene, q[0], q[1:])[0][0].codes) > 0
-    assert "is there and not empty; choose another --out" in refused(capsys, *words.split())
+    assert "exists and is not empty; choose another --out" in refused(capsys, *words.split())
 
 
 def test_models_are_found_by_name_or_folder_for_one_robot(panda, slider_arm, tmp_path):

@@ -44,7 +44,7 @@ def test_a_new_problem_leads_round_an_obstacle_from_a_calm_start_for_any_urdf(tm
     """Once a UR10 started with a joint at 4.98 rad, in the air, and the box was not in its way."""
     urdf, path = read_source({"name": "ur10"}).urdf, tmp_path / "new" / "mine.json"
     path.parent.mkdir()
-    assert "end effector tool0, a guess" in cvqmpt("problems new", path, "--urdf", urdf)
+    assert "end effector tool0 is a guess" in cvqmpt("problems new", path, "--urdf", urdf)
     data = json.loads(path.read_text())
     assert set(data["start"]) == set(PlanningProblem.load(path).robot.joint_names)
     assert max(map(abs, data["start"].values())) < np.pi
@@ -66,7 +66,7 @@ def test_goals_are_exported_on_request_and_the_file_says_that_they_win(tmp_path,
     without, with_goals = ((tmp_path / name / "place-task-000.json") for name in "ab")
     data = json.loads(with_goals.read_text())
     assert "goals" not in json.loads(without.read_text()) and len(data["goals"]) == 20
-    assert "goals are used as they are" in data["_comment"]
+    assert "goals are used as they are; delete them" in data["_comment"]
     assert len(without.read_text().splitlines()) < 750  # 4 578 before
     for path in (without, with_goals):
         check_problem(PlanningProblem.load(path))

@@ -7,7 +7,7 @@ import pytest
 
 from cvqmpt_lab.base.errors import UnknownChoiceError
 from cvqmpt_lab.benchmarks.declarations import ALL_PLANNERS, SUITES, Amount
-from cvqmpt_lab.cli.reproduce_command import Whole
+from cvqmpt_lab.cli.reproduce_command import OverallProgress
 from cvqmpt_lab.experiments import experiment
 from cvqmpt_lab.experiments.experiment import Experiment, parts_of
 from cvqmpt_lab.paper_tables.statements import CLAIMS
@@ -58,7 +58,7 @@ def test_the_time_left_of_all_suites_counts_what_is_still_to_be_made(capsys, mon
     budget = Budget(iterations=1)
     one = Experiment("place-task", tuple(range(12)), ("birrt",), (0,), budget)
     two = Experiment("multi-sequence", (0, 1, 2), ("birrt",), (0,), budget)
-    whole = Whole((one, two))
+    whole = OverallProgress((one, two))
     first = whole.bar("one", one)
     first(10, 12, "")  # ten were kept
     for made in (11, 12):

@@ -136,7 +136,7 @@ def test_an_interrupt_leaves_no_worker_and_a_run_that_the_same_command_continues
     os.killpg(started.pid, signal.SIGINT)  # what Ctrl-C in a terminal does
     error = started.communicate(timeout=30)[1]
     assert started.returncode == 130 and "Traceback" not in error
-    assert error.splitlines()[-1].startswith("cvqmpt: interrupted; what was finished is kept")
+    assert error.splitlines()[-1].startswith("cvqmpt: interrupted; finished results are kept")
     time.sleep(1.0)
     with pytest.raises(ProcessLookupError):
         os.killpg(started.pid, 0)
