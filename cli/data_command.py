@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 from cvqmpt_lab.base.errors import CvqmptError, InvalidInputError
+from cvqmpt_lab.benchmarks.families import FAMILIES
 from cvqmpt_lab.cli.options import (
     Options,
     ProgressBar,
@@ -19,7 +20,6 @@ from cvqmpt_lab.cli.problem_options import ROBOT, robot_source
 from cvqmpt_lab.experiments.executors import Lost, local_processes
 from cvqmpt_lab.experiments.run import default_jobs
 from cvqmpt_lab.planning.warm_up import compile_kernels
-from cvqmpt_lab.scene.families import FAMILIES
 from cvqmpt_lab.training.generation import PANDA, PathRecipe, SceneRecipe, Shard, generate
 from cvqmpt_lab.training.roadmap_labels import RoadmapRecipe
 

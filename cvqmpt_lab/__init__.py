@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from cvqmpt_lab.execution.execute import execute_motion
     from cvqmpt_lab.planning.margins import Margin, solve_with_margin
     from cvqmpt_lab.planning.pipeline import solve, solve_many
-    from cvqmpt_lab.planning.planners import PLANNERS, Method, planner_named
+    from cvqmpt_lab.planning.planners import PLANNERS, planner_named
     from cvqmpt_lab.problem import PlanningProblem
     from cvqmpt_lab.robot.load import load_robot, robot_from_source
     from cvqmpt_lab.scene.cloud_files import read_cloud
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from cvqmpt_lab.scene.scene import Articulation, Attachment, Scene, SceneObject
     from cvqmpt_lab.scene.scene_files import read_scene
     from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, OccupancyMap, PointCloud, Sphere
+    from cvqmpt_lab.search.method import Method
     from cvqmpt_lab.search.planner_interface import GaussianMixture, Proposal
     from cvqmpt_lab.search.result import Budget, JointPath
     from cvqmpt_lab.show.picture import draw, film_solution
@@ -102,7 +103,7 @@ _NAMES: dict[str, tuple[str, ...]] = {
     "execution.execute": ("execute_motion",),
     "planning.margins": ("Margin", "solve_with_margin"),
     "planning.pipeline": ("solve", "solve_many"),
-    "planning.planners": ("PLANNERS", "Method", "planner_named"),
+    "planning.planners": ("PLANNERS", "planner_named"),
     "problem": ("PlanningProblem",),
     "robot.load": ("load_robot", "robot_from_source"),
     "scene.cloud_files": ("read_cloud",),
@@ -110,6 +111,7 @@ _NAMES: dict[str, tuple[str, ...]] = {
     "scene.scene": ("Articulation", "Attachment", "Scene", "SceneObject"),
     "scene.scene_files": ("read_scene",),
     "scene.shapes": ("Box", "ConvexMesh", "Cylinder", "OccupancyMap", "PointCloud", "Sphere"),
+    "search.method": ("Method",),
     "search.planner_interface": ("GaussianMixture", "Proposal"),
     "search.result": ("Budget", "JointPath"),
     "show.picture": ("draw", "film_solution"),

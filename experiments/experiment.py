@@ -11,10 +11,11 @@ from cvqmpt_lab.base.errors import InvalidInputError, located, require_choice, w
 from cvqmpt_lab.benchmarks.declarations import SUITES, Suite
 from cvqmpt_lab.benchmarks.suite import suite_named
 from cvqmpt_lab.external.door import is_external
-from cvqmpt_lab.planning.planners import PLANNERS, Method, is_removed, planner_named, require_fit
+from cvqmpt_lab.planning.planners import PLANNERS, planner_named, require_fit
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.row import FailReason, ResultRow, RowKey, cell_text
 from cvqmpt_lab.search.anytime import check_units
+from cvqmpt_lab.search.method import Method
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.space import BACKENDS
 from cvqmpt_lab.vqmpt.sampler_choice import PREFIX
@@ -142,8 +143,8 @@ class Run(NamedTuple):
 
 def models_of(planner: str) -> tuple[str, ...]:
     """Names of the models that a planner needs."""
-    # an external planner needs none, and is perhaps not installed; nor does a removed one
-    if is_external(planner.removeprefix(PREFIX)) or is_removed(planner):
+    # an external planner needs none, and is perhaps not installed
+    if is_external(planner.removeprefix(PREFIX)):
         return ()
     kind = planner_named(planner).weights
     return () if kind is None else (kind,)

@@ -11,11 +11,11 @@ from command_line import SCAN_START, run_here
 from refusals import DATA
 
 from cvqmpt_lab.base.poses import pose
+from cvqmpt_lab.benchmarks.kitchen import kitchen
 from cvqmpt_lab.benchmarks.place_task import DOOR, DOOR_ANGLE, multi_sequence_task, place_problem
 from cvqmpt_lab.planning.pipeline import solve, with_sampled_goals
 from cvqmpt_lab.robot.load import load_robot, robot_from_source
 from cvqmpt_lab.scene.cloud_files import write_cloud
-from cvqmpt_lab.scene.kitchen import kitchen
 from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.scene.shapes import Box
 from cvqmpt_lab.search.result import Budget

@@ -15,12 +15,12 @@ from cvqmpt_lab.benchmarks.place_task import place_problem
 from cvqmpt_lab.certificate.certificate import certify
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.planning.pipeline import NEAR_GOALS, solve, solve_many, with_sampled_goals
-from cvqmpt_lab.planning.planners import Method
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import ConvexMesh, Cylinder, PointCloud, Sphere
 from cvqmpt_lab.search.birrt import BiRRT
+from cvqmpt_lab.search.method import Method
 from cvqmpt_lab.search.planner_interface import GaussianMixture, Uniform
 from cvqmpt_lab.search.result import Budget, JointPath, PlanStatus
 from cvqmpt_lab.search.space import ConstrainedSpace

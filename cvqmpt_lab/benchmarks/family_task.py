@@ -13,7 +13,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cvqmpt_lab.base.poses import pose
+from cvqmpt_lab.benchmarks.families import FAMILIES, family_scene
 from cvqmpt_lab.benchmarks.item import UnsolvableProblem
+from cvqmpt_lab.benchmarks.kitchen import kitchen
 from cvqmpt_lab.benchmarks.place_task import GRIP, carried_can, handle_region, place_problem
 from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region
 from cvqmpt_lab.constraints.named import line, plane
@@ -23,8 +25,6 @@ from cvqmpt_lab.problem import PlanningProblem, shared_checker
 from cvqmpt_lab.results.row import phase_problem
 from cvqmpt_lab.robot.load import panda, robot_from_source
 from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.scene.families import FAMILIES, family_scene
-from cvqmpt_lab.scene.kitchen import kitchen
 from cvqmpt_lab.scene.scene import Attachment, Scene
 from cvqmpt_lab.scene.shapes import Box
 from cvqmpt_lab.search.birrt import BiRRT

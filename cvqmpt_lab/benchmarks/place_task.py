@@ -31,6 +31,7 @@ from cvqmpt_lab.base.codec import to_plain
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.base.poses import pose, rigid
 from cvqmpt_lab.benchmarks.item import UnsolvableProblem
+from cvqmpt_lab.benchmarks.kitchen import kitchen
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region
 from cvqmpt_lab.constraints.task_space_region import (
@@ -46,7 +47,6 @@ from cvqmpt_lab.results.row import PAPER_PHASES, FailReason
 from cvqmpt_lab.robot.load import FINGER_OPENING, panda, robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.articulation import take_out
-from cvqmpt_lab.scene.kitchen import kitchen
 from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, Cylinder
 from cvqmpt_lab.tasks.task import Grasp, Hold, Move, Release, Slide, Task, Turn

@@ -13,14 +13,14 @@ from pathlib import Path
 import numpy as np
 
 from cvqmpt_lab.base.errors import InvalidInputError
+from cvqmpt_lab.benchmarks.families import family_scene
 from cvqmpt_lab.benchmarks.family_task import PANDA, upright_problem
 from cvqmpt_lab.benchmarks.item import SensedProblem, UnsolvableProblem
+from cvqmpt_lab.benchmarks.kitchen import kitchen
 from cvqmpt_lab.benchmarks.place_task import CAN, CRACKER_BOX, DOOR, DOOR_ANGLE, MUSTARD_BOTTLE
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.row import FailReason
 from cvqmpt_lab.robot.load import robot_from_source
-from cvqmpt_lab.scene.families import family_scene
-from cvqmpt_lab.scene.kitchen import kitchen
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.sensing.camera import KINECT, Camera, DepthNoise, look_at
 from cvqmpt_lab.sensing.crop import Crop

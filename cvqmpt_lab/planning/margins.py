@@ -10,8 +10,8 @@ from cvqmpt_lab.certificate.certificate import deviation_tolerated
 from cvqmpt_lab.constraints.report import displacements, excess
 from cvqmpt_lab.constraints.task_space_region import TOLERANCE
 from cvqmpt_lab.planning.pipeline import Solution, solve, with_sampled_goals
-from cvqmpt_lab.planning.planners import Method
 from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.search.method import Method
 from cvqmpt_lab.search.result import Budget
 
 

@@ -15,11 +15,12 @@ from cvqmpt_lab.base.values import frozen
 from cvqmpt_lab.certificate.certificate import Certificate, certify
 from cvqmpt_lab.constraints.inverse_kinematics import GoalSample, reaches_no_pose
 from cvqmpt_lab.constraints.task_space_region import TOLERANCE, TaskSpaceRegionChain
-from cvqmpt_lab.planning.planners import Method, planner_named, require_fit
+from cvqmpt_lab.planning.planners import planner_named, require_fit
 from cvqmpt_lab.problem import PlanningProblem, check_problem, with_usable_goals
 from cvqmpt_lab.search.anytime import Improvement, check_units, improve, restarted
 from cvqmpt_lab.search.birrt import BiRRT
 from cvqmpt_lab.search.goals import sample_goals
+from cvqmpt_lab.search.method import Method
 from cvqmpt_lab.search.planner_interface import (
     Observation,
     Proposal,

@@ -9,11 +9,12 @@ import numpy as np
 from cvqmpt_lab.base.jit import compile_all, compiled_before
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, upright_box
 from cvqmpt_lab.planning.pipeline import with_sampled_goals
-from cvqmpt_lab.planning.planners import Method, planner_named, require_fit
+from cvqmpt_lab.planning.planners import planner_named, require_fit
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import panda
 from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.search.birrt import BiRRT, plant, remove_child_of_segment
+from cvqmpt_lab.search.method import Method
 from cvqmpt_lab.search.planner_interface import Observation, Proposal, Query, search
 from cvqmpt_lab.search.result import Budget, JointPath
 from cvqmpt_lab.search.shortcut import simplify

@@ -24,11 +24,12 @@ from cvqmpt_lab.search.motion import Space, distance, posed_state_valid, project
 from cvqmpt_lab.search.planner_interface import (
     Deadline,
     PathSource,
+    Query,
     SamplingDistribution,
     Search,
     Uniform,
 )
-from cvqmpt_lab.search.result import Budget, JointPath
+from cvqmpt_lab.search.result import Budget, JointPath, PlanResult
 from cvqmpt_lab.search.roadmap import (
     Roadmap,
     RoadmapQuery,
@@ -274,6 +275,19 @@ class InformedFirst:
         to_goal = np.linalg.norm(drawn[:, None] - self.goals, axis=2).min(axis=1)
         too_long = np.linalg.norm(drawn - self.start, axis=1) + to_goal > self.length
         return drawn[np.argsort(too_long, kind="stable")[:count]]
+
+
+def unconstrained_path(query: Query) -> tuple[JointPath | None, PlanResult]:
+    """A shortened path of a query without its constraint, or None; and the search for it."""
+    return short_path(query.space.unconstrained(), query, query.deadline.budget)
+
+
+def short_path(
+    space: ConstrainedSpace, query: Query, budget: Budget
+) -> tuple[JointPath | None, PlanResult]:
+    """A shortened path from a query's start to a goal, or None; and the search for it."""
+    found = BiRRT().search(space, query.start, query.goals, query.uniform, budget, query.rng)
+    return None if found.path is None else simplify(space, found.path, query.rng).path, found
 
 
 @dataclass(frozen=True)

@@ -14,21 +14,32 @@ tuning problems, see docs/performance.md.
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import partial
 from typing import TypeAlias
 
 import numpy as np
 
+from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.search.anytime import informed_roadmap_path
 from cvqmpt_lab.search.birrt import BiRRT, GrowingTrees, plant, shown
 from cvqmpt_lab.search.cell_trees import CellTrees
 from cvqmpt_lab.search.edge_costs import EdgeCosts
+from cvqmpt_lab.search.method import Method
 from cvqmpt_lab.search.planner_interface import (
     Deadline,
     GaussianMixture,
     SamplingDistribution,
+    Stages,
     Uniform,
 )
 from cvqmpt_lab.search.result import Budget, JointPath, PlanResult, PlanStatus
-from cvqmpt_lab.search.roadmap import Roadmap, RoadmapQuery, RoadmapSearchSettings, scene_costs
+from cvqmpt_lab.search.roadmap import (
+    Roadmap,
+    RoadmapQuery,
+    RoadmapSearchSettings,
+    scene_costs,
+    spread_roadmap,
+)
 from cvqmpt_lab.search.space import ConstrainedSpace
 
 Turn: TypeAlias = tuple[str, JointPath | None]  # who had a turn, and the path that it found
@@ -152,3 +163,38 @@ class _Run:
         left = self.deadline.rest().iterations
         iterations = min((count for count in (left, most) if count is not None), default=None)
         return trees.grow(work, iterations, self.deadline.clock)
+
+
+def spread_nodes(problem: PlanningProblem, model: str, draw: int | None = None) -> Roadmap:
+    """The roadmap of a problem's robot that needs no model, see `spread_roadmap`."""
+    return spread_roadmap(problem.robot, problem.attachments, draw)
+
+
+def roadmap_planner(
+    name: str,
+    roadmap: Callable[[PlanningProblem, str], Roadmap],
+    weights: str | None = None,
+    misfit: Callable[[PlanningProblem, str], str] | None = None,
+    costs: Callable[[ConstrainedSpace], EdgeCosts] = scene_costs,
+    oracle: bool = False,
+) -> Method:
+    """A planner with trees, a roadmap and cells in turns; no roadmap is made of a closed chain.
+
+    Args:
+        name: of the planner.
+        roadmap: makes the roadmap of (problem, name or folder of a model).
+        weights: kind of weights that the roadmap needs, or None.
+        misfit: see `Method.misfit`.
+        costs: makes the edge costs in a space.
+        oracle: whether blocked nodes and edges are known at no cost.
+    """
+
+    def build(problem: PlanningProblem, model: str) -> Stages:
+        # hardly any node lies near the manifold of a closed chain
+        nodes = None if problem.closed_chain else roadmap(problem, model)
+        return Stages(
+            search=Portfolio(roadmap=nodes, name=name, costs=costs, oracle=oracle),
+            path_source=partial(informed_roadmap_path, costs),
+        )
+
+    return Method(name, build, weights, misfit)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from cvqmpt_lab.search.controls import short_path, unconstrained_path
+from cvqmpt_lab.search.anytime import short_path, unconstrained_path
 from cvqmpt_lab.search.planner_interface import Observation, Proposal, Query
 from cvqmpt_lab.search.result import Timings
 from cvqmpt_lab.search.space import ConstrainedSpace

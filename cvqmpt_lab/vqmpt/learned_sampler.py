@@ -15,8 +15,8 @@ from functools import lru_cache, partial
 
 import numpy as np
 
+from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.scene.families import another_scene
 from cvqmpt_lab.scene.scene import Attachment, Scene
 from cvqmpt_lab.search.birrt import BiRRT
 from cvqmpt_lab.search.planner_interface import (
@@ -253,7 +253,13 @@ def mpnet_network(model: str) -> MPNetNetwork:
     return MPNetNetwork(model_of(model, MPNET))
 
 
-def learned(robot: Robot, model: str, name: str, choice: SamplerChoice) -> Stages:
+def learned(
+    robot: Robot,
+    model: str,
+    name: str,
+    choice: SamplerChoice,
+    other_scene: Scene | None = None,
+) -> Stages:
     """The stages of a learned sampler.
 
     Args:
@@ -261,6 +267,7 @@ def learned(robot: Robot, model: str, name: str, choice: SamplerChoice) -> Stage
         model: name or folder of the weights.
         name: what result rows call the distribution.
         choice: predictor, Gaussians, update, cloud and uniform share.
+        other_scene: whose cloud the network gets where the cloud is ``other-cloud``.
 
     Raises:
         InvalidInputError: the weights lack what the predictor needs, or are another robot's.
@@ -285,13 +292,14 @@ def learned(robot: Robot, model: str, name: str, choice: SamplerChoice) -> Stage
         predict = partial(network_codes, predictor, choice.sequences == "all-beams", nodes)
         if choice.predictor == "transformer-lines":
             predict = partial(lines_to_predicted_goals, predict)
-        clouds: dict[str, Callable[[Scene], np.ndarray]] = {
-            "own-cloud": observer(),
-            # controls, which see another scene or nothing
-            "other-cloud": lambda scene: observer(4096)(another_scene()),
-            "no-cloud": lambda scene: np.empty((0, 3)),
-        }
-        observe = clouds[choice.cloud]
+        if choice.cloud == "own-cloud":
+            observe = observer()
+        elif choice.cloud == "no-cloud":
+            observe = _no_points
+        elif other_scene is not None:
+            observe = partial(_cloud_of, other_scene)
+        else:
+            raise InvalidInputError(f"{name}: other-cloud needs a scene whose cloud is taken")
     noise = code_noise(len(codebook.vectors), robot.dof)
     sampler = LearnedSampler(predict, choice, name, codebook, robot, noise, read=read)
     updates: dict[str, Callable[[Query, Proposal], Proposal] | None] = {
@@ -304,6 +312,16 @@ def learned(robot: Robot, model: str, name: str, choice: SamplerChoice) -> Stage
         "projected": sampler.projected,
     }
     return Stages(sampler.propose, search, observe, updates[choice.update], goals_apart=apart)
+
+
+def _no_points(scene: Scene) -> np.ndarray:
+    """No points (0, 3), whatever the scene: a control."""
+    return np.empty((0, 3))
+
+
+def _cloud_of(other_scene: Scene, scene: Scene) -> np.ndarray:
+    """The cloud (4096, 3) [m] of another scene: a control."""
+    return observer(4096)(other_scene)
 
 
 def mpnet(robot: Robot, model: str, bridged: bool = False) -> Stages:

@@ -5,14 +5,14 @@ import pytest
 from scipy.spatial import ConvexHull
 
 from cvqmpt_lab.base.poses import pose
+from cvqmpt_lab.benchmarks.families import random_scene
+from cvqmpt_lab.benchmarks.kitchen import kitchen
 from cvqmpt_lab.benchmarks.place_task import DOOR, DOOR_ANGLE, carried_can, door_problem, door_world
 from cvqmpt_lab.collision import arrays
 from cvqmpt_lab.collision.covers import cut_into_pieces
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.scene.cells import MAX_BALLS
-from cvqmpt_lab.scene.families import random_scene
-from cvqmpt_lab.scene.kitchen import kitchen
 from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, OccupancyMap, PointCloud, Sphere
 from cvqmpt_lab.search.space import ConstrainedSpace

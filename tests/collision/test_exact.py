@@ -8,13 +8,13 @@ import pinocchio as pin
 import pytest
 
 from cvqmpt_lab.base.poses import pose
+from cvqmpt_lab.benchmarks.families import random_scene
 from cvqmpt_lab.benchmarks.place_task import carried_can
 from cvqmpt_lab.certificate.motion_proof import prove_free
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.hulls import coal_distance
 from cvqmpt_lab.scene.coal_shapes import transform
-from cvqmpt_lab.scene.families import random_scene
 from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, PointCloud, Sphere
 from cvqmpt_lab.search.space import ConstrainedSpace

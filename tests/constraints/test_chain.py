@@ -12,6 +12,7 @@ from refusals import refused
 from cvqmpt_lab.base.codec import from_plain, to_plain
 from cvqmpt_lab.base.errors import CvqmptError
 from cvqmpt_lab.base.poses import pose
+from cvqmpt_lab.benchmarks.kitchen import kitchen
 from cvqmpt_lab.benchmarks.place_task import (
     BAR,
     DOOR,
@@ -33,7 +34,6 @@ from cvqmpt_lab.planning.pipeline import solve, with_sampled_goals
 from cvqmpt_lab.planning.planners import planner_named
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import robot_from_source
-from cvqmpt_lab.scene.kitchen import kitchen
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box
 from cvqmpt_lab.search.result import Budget, JointPath

@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from cvqmpt_lab.base.codec import from_plain, to_plain
 from cvqmpt_lab.base.poses import pose
+from cvqmpt_lab.benchmarks.kitchen import kitchen
 from cvqmpt_lab.benchmarks.place_task import DOOR
 from cvqmpt_lab.constraints.named import Region
 from cvqmpt_lab.constraints.task_space_region import (
@@ -19,7 +20,6 @@ from cvqmpt_lab.constraints.task_space_region import (
 )
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.scene.articulation import take_out
-from cvqmpt_lab.scene.kitchen import kitchen
 
 KINK = 1e-3  # rows this close to a bound, or to angle pi, have no derivative
 FREE = (-np.inf, np.inf)

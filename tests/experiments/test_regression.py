@@ -23,10 +23,10 @@ from cvqmpt_lab.paper_tables.committed import committed_directories, differing_c
 from cvqmpt_lab.paper_tables.rendering import render_directory
 from cvqmpt_lab.planning import planners as table
 from cvqmpt_lab.planning.pipeline import solve, with_sampled_goals
-from cvqmpt_lab.planning.planners import Method
 from cvqmpt_lab.results.row import FailReason, read_rows
 from cvqmpt_lab.results.store import RunStore, states_hash
 from cvqmpt_lab.search.birrt import BiRRT
+from cvqmpt_lab.search.method import Method
 from cvqmpt_lab.search.planner_interface import GaussianMixture, Proposal, Uniform
 from cvqmpt_lab.search.result import Budget, PlanStatus, Timings
 from cvqmpt_lab.vqmpt import scene_predictor

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from cvqmpt_lab.benchmarks.families import random_scene
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import load_robot, robot_from_source
-from cvqmpt_lab.scene.families import random_scene
 
 ARMS = 12  # to draw from: loading one takes longer than a trial with it
 WIDTHS = (0.0, 2e-4, 0.1, 1.0, np.inf)  # half widths of regions [m, rad]

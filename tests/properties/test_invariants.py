@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from cvqmpt_lab.base.codec import from_plain, to_plain
 from cvqmpt_lab.base.poses import Placement
+from cvqmpt_lab.benchmarks.families import random_scene
 from cvqmpt_lab.constraints.task_space_region import (
     FREE,
     TOLERANCE,
@@ -23,7 +24,6 @@ from cvqmpt_lab.constraints.task_space_region import (
 from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import panda
-from cvqmpt_lab.scene.families import random_scene
 from cvqmpt_lab.search.birrt import BiRRT
 from cvqmpt_lab.search.planner_interface import GaussianMixture, Uniform
 from cvqmpt_lab.search.result import Budget

@@ -9,6 +9,7 @@ from refusals import refused
 from cvqmpt_lab.base.codec import from_plain, to_plain
 from cvqmpt_lab.base.errors import CvqmptError, InvalidProblemError, UnknownChoiceError
 from cvqmpt_lab.base.poses import pose
+from cvqmpt_lab.benchmarks.kitchen import kitchen
 from cvqmpt_lab.benchmarks.place_task import BAR, DOOR, GRIP, door_problem, door_world
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
@@ -20,7 +21,6 @@ from cvqmpt_lab.robot.load import load_robot, robot_from_source
 from cvqmpt_lab.robot.mechanism import ArticulatedObject, with_articulated_object
 from cvqmpt_lab.scene.articulation import take_out
 from cvqmpt_lab.scene.coal_shapes import coal_shape, shape_distance
-from cvqmpt_lab.scene.kitchen import kitchen
 from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, PointCloud
 from cvqmpt_lab.search.motion import motion_free

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from refusals import table
 
-from cvqmpt_lab.scene.kitchen import kitchen
+from cvqmpt_lab.benchmarks.kitchen import kitchen
 from cvqmpt_lab.scene.shapes import Box
 
 TOLERANCE = 0.005  # [m]

@@ -10,9 +10,9 @@ from refusals import refused
 
 from cvqmpt_lab.base.codec import from_plain, to_plain
 from cvqmpt_lab.base.poses import pose
+from cvqmpt_lab.benchmarks.families import random_scene
+from cvqmpt_lab.benchmarks.kitchen import kitchen
 from cvqmpt_lab.scene.cells import map_of_points
-from cvqmpt_lab.scene.families import random_scene
-from cvqmpt_lab.scene.kitchen import kitchen
 from cvqmpt_lab.scene.scene import Articulation, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import (
     Box,

@@ -17,12 +17,13 @@ from cvqmpt_lab.collision import arrays
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.planning.pipeline import solve
-from cvqmpt_lab.planning.planners import PLANNERS, Method, planner_named
+from cvqmpt_lab.planning.planners import PLANNERS, planner_named
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.store import states_hash
 from cvqmpt_lab.scene.scene import Attachment, SceneObject
 from cvqmpt_lab.scene.shapes import Box, Cylinder
 from cvqmpt_lab.search.birrt import DRAWS, BiRRT, grow, plant
+from cvqmpt_lab.search.method import Method
 from cvqmpt_lab.search.ompl_planners import STATE_SPACES, OmplSearch
 from cvqmpt_lab.search.planner_interface import GaussianMixture, Proposal, Uniform
 from cvqmpt_lab.search.result import Budget, PlanStatus

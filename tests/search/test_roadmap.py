@@ -11,10 +11,11 @@ from cvqmpt_lab.benchmarks.place_task import place_problem
 from cvqmpt_lab.certificate.certificate import certify
 from cvqmpt_lab.collision.distance_grid import FARTHEST, NEAREST
 from cvqmpt_lab.planning.pipeline import solve, with_sampled_goals
-from cvqmpt_lab.planning.planners import Method, planner_named
+from cvqmpt_lab.planning.planners import planner_named
 from cvqmpt_lab.results.store import states_hash
 from cvqmpt_lab.search.anytime import InformedSamples, improve, informed_roadmap_path
 from cvqmpt_lab.search.edge_costs import reading, readings
+from cvqmpt_lab.search.method import Method
 from cvqmpt_lab.search.motion import motion_free
 from cvqmpt_lab.search.planner_interface import (
     Deadline,

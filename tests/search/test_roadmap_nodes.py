@@ -8,12 +8,12 @@ import pytest
 from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.benchmarks.templates import problem_template
 from cvqmpt_lab.planning.pipeline import solve
-from cvqmpt_lab.planning.planners import Method
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import load_robot, robot_from_source
 from cvqmpt_lab.robot.source import ARMS
 from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, PointCloud, Sphere
+from cvqmpt_lab.search.method import Method
 from cvqmpt_lab.search.portfolio import Portfolio
 from cvqmpt_lab.search.result import Budget, PlanStatus
 from cvqmpt_lab.search.roadmap import NEIGHBOURS, NODES, TURN, spread_roadmap

@@ -9,9 +9,9 @@ from scipy.spatial import cKDTree
 from cvqmpt_lab.base import caches as kept
 from cvqmpt_lab.base.caches import cached_arrays
 from cvqmpt_lab.base.poses import pose
-from cvqmpt_lab.planning.planners import Method
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import PointCloud, Sphere
+from cvqmpt_lab.search.method import Method
 from cvqmpt_lab.search.planner_interface import Stages
 from cvqmpt_lab.sensing import observation
 from cvqmpt_lab.sensing.observation import Observer, camera_cloud

@@ -8,9 +8,9 @@ import pytest
 from refusals import refused
 
 from cvqmpt_lab.base.poses import pose
+from cvqmpt_lab.benchmarks.families import random_scene
 from cvqmpt_lab.benchmarks.place_task import CAN
 from cvqmpt_lab.scene.cloud_files import Cloud
-from cvqmpt_lab.scene.families import random_scene
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import PointCloud, Sphere
 from cvqmpt_lab.sensing.camera import Intrinsics, look_at

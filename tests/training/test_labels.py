@@ -11,10 +11,10 @@ import torch
 from refusals import refused
 
 from cvqmpt_lab.base.files import locked
+from cvqmpt_lab.benchmarks.families import FAMILIES, family_scene
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.load import panda
-from cvqmpt_lab.scene.families import FAMILIES, family_scene
 from cvqmpt_lab.search.anytime import NearShortestSettings
 from cvqmpt_lab.training import generation
 from cvqmpt_lab.training.dataset import open_dataset

@@ -13,7 +13,7 @@ from small_models import compact_config, published_config, random_checkpoint
 from training_data import LOWER, SPAN, UPPER, kinematics, shard, write_dataset, write_shard
 
 from cvqmpt_lab.base.codec import from_plain
-from cvqmpt_lab.scene.families import random_scene
+from cvqmpt_lab.benchmarks.families import random_scene
 from cvqmpt_lab.sensing.camera import KINECT, Camera, DepthNoise, look_at
 from cvqmpt_lab.sensing.crop import Crop
 from cvqmpt_lab.sensing.observation import CameraSettings, visible_points

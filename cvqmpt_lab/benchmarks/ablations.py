@@ -1,22 +1,29 @@
-"""Controls: Gaussians around paths that need no network; edge costs that do not see the scene."""
+"""Controls: each differs from a planner in one part, to measure what this part contributes.
+
+They register themselves, see `planning.planners`.
+"""
+
+from functools import partial
 
 import numpy as np
 
+from cvqmpt_lab.benchmarks.families import another_scene
 from cvqmpt_lab.collision.arrays import scene_arrays
 from cvqmpt_lab.collision.solids import reach_with
-from cvqmpt_lab.scene.families import another_scene
-from cvqmpt_lab.search.birrt import BiRRT
+from cvqmpt_lab.search.anytime import unconstrained_path
 from cvqmpt_lab.search.edge_costs import EdgeCosts
+from cvqmpt_lab.search.method import Method
 from cvqmpt_lab.search.planner_interface import (
     GaussianMixture,
     Observation,
     Proposal,
     Query,
 )
-from cvqmpt_lab.search.result import Budget, JointPath, PlanResult
+from cvqmpt_lab.search.portfolio import roadmap_planner, spread_nodes
 from cvqmpt_lab.search.roadmap import scene_costs
-from cvqmpt_lab.search.shortcut import simplify
 from cvqmpt_lab.search.space import ConstrainedSpace
+from cvqmpt_lab.vqmpt.planners import on_dictionary, product
+from cvqmpt_lab.vqmpt.sampler_choice import PREFIX, SamplerChoice
 
 
 def guided(query: Query, observation: Observation) -> Proposal:
@@ -35,19 +42,6 @@ def guided(query: Query, observation: Observation) -> Proposal:
     )
 
 
-def unconstrained_path(query: Query) -> tuple[JointPath | None, PlanResult]:
-    """A shortened path of a query without its constraint, or None; and the search for it."""
-    return short_path(query.space.unconstrained(), query, query.deadline.budget)
-
-
-def short_path(
-    space: ConstrainedSpace, query: Query, budget: Budget
-) -> tuple[JointPath | None, PlanResult]:
-    """A shortened path from a query's start to a goal, or None; and the search for it."""
-    found = BiRRT().search(space, query.start, query.goals, query.uniform, budget, query.rng)
-    return None if found.path is None else simplify(space, found.path, query.rng).path, found
-
-
 def no_costs(space: ConstrainedSpace) -> EdgeCosts:
     """Edges cost their length, whatever the scene."""
     return scene_costs(space)._replace(weight=0.0)
@@ -57,3 +51,24 @@ def other_costs(space: ConstrainedSpace) -> EdgeCosts:
     """Edge costs in another scene than the space's."""
     reach = reach_with(space.robot, space.problem.attachments)
     return scene_costs(space)._replace(grid=scene_arrays(another_scene(), reach).grid)
+
+
+def planner_of(name: str) -> Method | None:
+    """The learned planner of a name with ``other-cloud``, which sees another scene, or None."""
+    if not name.startswith(PREFIX):
+        return None
+    choice = SamplerChoice.of(name.removeprefix(PREFIX))
+    return product(name, choice, another_scene()) if choice.cloud == "other-cloud" else None
+
+
+CONTROLS = (
+    Method.simple("guided-birrt", predict=guided),
+    # three sets of random nodes show how much results vary between roadmaps
+    *(
+        roadmap_planner(f"roadmap-uniform-{draw}", partial(spread_nodes, draw=draw))
+        for draw in range(3)
+    ),
+    on_dictionary("roadmap-wrong-scene", costs=other_costs),
+    on_dictionary("roadmap-no-scene", costs=no_costs),
+    on_dictionary("roadmap-true-edges", costs=no_costs, oracle=True),
+)

@@ -13,7 +13,7 @@ import numpy as np
 from cvqmpt_lab.base.errors import InvalidInputError, require_choice, whole_number
 from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.base.values import FloatArray
-from cvqmpt_lab.scene.kitchen import PUBLISHED, kitchen
+from cvqmpt_lab.benchmarks.kitchen import PUBLISHED, kitchen
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, Cylinder, Sphere
 
