@@ -37,8 +37,8 @@ import numpy as np
 from cvqmpt_lab.base.codec import Document, OneOrMore
 from cvqmpt_lab.base.errors import InvalidProblemError, mapping, unique
 from cvqmpt_lab.base.values import FULL_TURN_RAD, Array, Condition, FloatArray, Name, frozen
+from cvqmpt_lab.collision.carried import reach_with
 from cvqmpt_lab.collision.exact import CollisionChecker
-from cvqmpt_lab.collision.solids import reach_with
 from cvqmpt_lab.constraints.inverse_kinematics import (
     SAMPLE_MARGIN,
     contradiction,
@@ -46,12 +46,9 @@ from cvqmpt_lab.constraints.inverse_kinematics import (
     why_none,
 )
 from cvqmpt_lab.constraints.named import Region
+from cvqmpt_lab.constraints.project import PROJECTION_TOLERANCE
 from cvqmpt_lab.constraints.report import bounds_text, broken_bound, displacements
-from cvqmpt_lab.constraints.task_space_region import (
-    TOLERANCE,
-    RegionConstraint,
-    TaskSpaceRegionChain,
-)
+from cvqmpt_lab.constraints.task_space_region import RegionConstraint, TaskSpaceRegionChain
 from cvqmpt_lab.robot.dynamics import Dynamics
 from cvqmpt_lab.robot.load import State, numbers_of, robot_from_source
 from cvqmpt_lab.robot.robot import Robot
@@ -334,7 +331,7 @@ def _faults(problem: PlanningProblem) -> Iterator[tuple[int, str, str]]:
     """Number of a goal (-1: the start), why it cannot be used, and the cure."""
     checker = problem.collision_checker()
     states = np.vstack([problem.start, problem.goals])
-    off = np.linalg.norm(problem.manifold.residual(states), axis=1) > TOLERANCE
+    off = np.linalg.norm(problem.manifold.residual(states), axis=1) > PROJECTION_TOLERANCE
     for k, (label, q) in enumerate(problem.labelled_configurations(), start=-1):
         if checker.in_collision(q):
             gap = (
@@ -379,7 +376,7 @@ def _off_manifold(problem: PlanningProblem, label: str, q: np.ndarray) -> tuple[
     goals = problem.goals
     if label != "start" and problem.goal_region is not None:
         residuals = np.linalg.norm(problem.manifold.residual(goals), axis=1)
-        if residuals.min() > TOLERANCE:
+        if residuals.min() > PROJECTION_TOLERANCE:
             states, broken = (
                 goals,
                 f"'goal_region' leaves the constraint: the best of {len(goals)} goals in it breaks",

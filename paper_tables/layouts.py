@@ -24,7 +24,8 @@ from cvqmpt_lab.paper_tables.measures import (
 from cvqmpt_lab.paper_tables.statements import PublishedValue
 from cvqmpt_lab.paper_tables.table_engine import Column, Entry, SuiteTable
 from cvqmpt_lab.paper_tables.writers import Lines, Sections, number
-from cvqmpt_lab.results.row import BY_ROLLOUTS, ROLLOUTS_ALONE, ResultRow, split_problem
+from cvqmpt_lab.results.row import ResultRow, split_problem
+from cvqmpt_lab.vqmpt.config import BY_ROLLOUTS, ROLLOUTS_ALONE
 
 # ---------------------------------------------------------------- like the paper's Table I
 

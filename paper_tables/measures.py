@@ -13,7 +13,7 @@ from operator import attrgetter
 from statistics import fmean, median
 from typing import Literal, NamedTuple, TypeVar
 
-from cvqmpt_lab.results.row import CLEARANCE_COST, ResultRow, search_work
+from cvqmpt_lab.results.row import ResultRow
 from cvqmpt_lab.results.statistics import (
     Interval,
     ProblemKey,
@@ -23,6 +23,7 @@ from cvqmpt_lab.results.statistics import (
     problem_key,
     wilson_interval,
 )
+from cvqmpt_lab.search.work import CLEARANCE_COST, search_work
 
 REFERENCE = "birrt"  # its work says how hard a problem is; others are compared with it
 WORK = f"projections, state checks and {CLEARANCE_COST:.2g} of the clearances"
@@ -44,7 +45,7 @@ def work(row: ResultRow) -> float | None:
     """Work of the search, see `search_work`: clearances that were not counted add nothing."""
     if row.n_projections is None or row.n_state_checks is None:
         return None
-    return float(search_work(row.n_projections, row.n_state_checks, row.n_clearances))
+    return search_work(row.n_projections, row.n_state_checks, row.n_clearances or 0)
 
 
 def search_cost(

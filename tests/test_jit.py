@@ -64,7 +64,7 @@ def test_what_does_not_fit_is_named(arguments, message):
 
 
 def test_a_space_whose_arrays_do_not_fit_each_other_is_refused(problem, slider_arm):
-    arrays = ConstrainedSpace(problem).arrays
+    arrays = ConstrainedSpace.of(problem).arrays
     check_arrays(arrays)
     refused(r"Space.*n = 7", check_arrays, arrays._replace(state=np.zeros(4)))
     refused(r"Space", check_arrays, arrays._replace(kinematics=slider_arm.kinematics))
@@ -96,7 +96,7 @@ SIX = np.zeros((3, 6))
     ],
 )
 def test_six_joints_never_reach_a_kernel_of_seven(problem, call):
-    space = ConstrainedSpace(problem)
+    space = ConstrainedSpace.of(problem)
     trees = birrt.plant(problem.start, problem.goals, 64)
     refused(r"7|n = 6", call, space, trees)
 

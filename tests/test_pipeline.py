@@ -104,10 +104,11 @@ def test_a_clearance_is_planned_for_and_certified(problem, backend):
     robot = replace(problem.robot, self_collision_pairs=(), collision_model=geometry)
     alone = CollisionChecker(robot, world.scene)
     assert all(alone.nearest(q).distance >= 0.02 for q in clear.path.states)
-    space = ConstrainedSpace(replace(world, clearance=0.02))
+    kept = replace(world, clearance=0.02)
+    space = ConstrainedSpace.of(kept)
     states = problem.robot.random_configurations(np.random.default_rng(0), 2000)
     free = states[space.valid_batch(states)]
-    assert len(free) > 50 and not space.problem.collision_checker().in_collision_batch(free).any()
+    assert len(free) > 50 and not kept.collision_checker().in_collision_batch(free).any()
 
 
 def test_near_goals_are_tried_first_where_joints_turn_more_than_once():

@@ -9,7 +9,7 @@ import numpy as np
 
 from cvqmpt_lab.benchmarks.families import another_scene
 from cvqmpt_lab.collision.arrays import scene_arrays
-from cvqmpt_lab.collision.solids import reach_with
+from cvqmpt_lab.collision.carried import reach_with
 from cvqmpt_lab.search.anytime import unconstrained_path
 from cvqmpt_lab.search.edge_costs import EdgeCosts
 from cvqmpt_lab.search.method import Method
@@ -49,7 +49,7 @@ def no_costs(space: ConstrainedSpace) -> EdgeCosts:
 
 def other_costs(space: ConstrainedSpace) -> EdgeCosts:
     """Edge costs in another scene than the space's."""
-    reach = reach_with(space.robot, space.problem.attachments)
+    reach = reach_with(space.robot, space.attachments)
     return scene_costs(space)._replace(grid=scene_arrays(another_scene(), reach).grid)
 
 

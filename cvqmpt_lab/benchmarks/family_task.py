@@ -100,7 +100,7 @@ def blocked_pair(
         apart: how far apart start and goal are at least [rad].
         tries: pairs drawn for one whose straight motion is blocked.
     """
-    space = ConstrainedSpace(problem)
+    space = ConstrainedSpace.of(problem)
     states = problem.robot.random_configurations(rng, draws)
     states = states[[space.project(q) for q in states]]
     states = states[space.valid_batch(states)]
@@ -293,14 +293,15 @@ def constraint_problem(index: int) -> PlanningProblem | UnsolvableProblem:
 
 def trivial(problem: PlanningProblem) -> bool:
     """Whether a straight motion on the manifold leads from the start to a goal."""
-    space = ConstrainedSpace(problem)
+    space = ConstrainedSpace.of(problem)
     return any(direct_motion(space, problem.start, goal) is not None for goal in problem.goals)
 
 
 def _within_reach(problem: PlanningProblem) -> bool:
     """Whether a short search without obstacles finds a path: joint limits may cut goals off."""
-    alone = ConstrainedSpace(replace(problem, scene=Scene("empty", ())))
-    query = Query.of(alone, Budget(iterations=300), np.random.default_rng(0))
+    alone = ConstrainedSpace.of(replace(problem, scene=Scene("empty", ())))
+    budget, rng = Budget(iterations=300), np.random.default_rng(0)
+    query = Query.of(alone, problem.start, problem.goals, budget, rng)
     return search(BiRRT(), query, uniform(query, Observation())).path is not None
 
 

@@ -163,7 +163,7 @@ def _solved(problem: PlanningProblem, matters: bool) -> bool:
         return False
     if not matters:
         return True
-    space, last = ConstrainedSpace(solution.problem), solution.path.states[-1]
+    space, last = ConstrainedSpace.of(solution.problem), solution.path.states[-1]
     goals = (last, *solution.problem.goals[1::2])
     return all(direct_motion(space, problem.start, goal) is None for goal in goals)
 

@@ -12,8 +12,8 @@ import numpy as np
 
 from cvqmpt_lab.certificate.between_states import largest_violation, least_slack
 from cvqmpt_lab.certificate.motion_proof import Least, prove_free
+from cvqmpt_lab.collision.carried import reach_with
 from cvqmpt_lab.collision.exact import CollisionChecker
-from cvqmpt_lab.collision.solids import reach_with
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegionChain
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.search.result import JointPath

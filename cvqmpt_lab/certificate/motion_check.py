@@ -15,7 +15,7 @@ import numpy as np
 
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.certificate.certificate import Certificate, Fault, FaultKind, certify
-from cvqmpt_lab.collision.solids import reach_with
+from cvqmpt_lab.collision.carried import reach_with
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import JointLimits
 from cvqmpt_lab.search.result import JointPath

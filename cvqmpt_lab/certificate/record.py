@@ -20,8 +20,9 @@ from cvqmpt_lab.certificate.certificate import (
     Verdict,
 )
 from cvqmpt_lab.certificate.motion_check import DryRun
+from cvqmpt_lab.collision.carried import carried_pairs, reach_with
 from cvqmpt_lab.collision.exact import ROUNDING
-from cvqmpt_lab.collision.solids import carried_pairs, obstacles_within, reach_with, solids
+from cvqmpt_lab.collision.solids import obstacles_within, solids
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import LeftOut
 from cvqmpt_lab.scene.scene import Scene

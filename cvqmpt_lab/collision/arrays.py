@@ -13,6 +13,7 @@ from cvqmpt_lab.base.caches import cached_arrays
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.base.jit import SOURCES
 from cvqmpt_lab.base.values import frozen
+from cvqmpt_lab.collision.carried import carried_pairs, reach_with
 from cvqmpt_lab.collision.covers import ANY_RADIUS, Cloud
 from cvqmpt_lab.collision.geometry import (
     CELL,
@@ -24,7 +25,6 @@ from cvqmpt_lab.collision.geometry import (
     scene_geometry,
 )
 from cvqmpt_lab.collision.separation import BOX, CYLINDER, HULL, SPHERE, ConvexShapes
-from cvqmpt_lab.collision.solids import carried_pairs, reach_with
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.cells import blocks_of
 from cvqmpt_lab.scene.scene import Attachment, Scene

@@ -15,8 +15,9 @@ import coal
 import numpy as np
 import pinocchio as pin
 
+from cvqmpt_lab.collision.carried import carried_pairs, reach_with
 from cvqmpt_lab.collision.motion_bounds import Sweep, ball_around
-from cvqmpt_lab.collision.solids import carried_pairs, obstacles_within, reach_with, solids
+from cvqmpt_lab.collision.solids import obstacles_within, solids
 from cvqmpt_lab.robot.hulls import coal_distance
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.coal_shapes import transform

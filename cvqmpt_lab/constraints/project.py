@@ -17,6 +17,8 @@ from cvqmpt_lab.base.jit import entry, kernel
 from cvqmpt_lab.constraints.regions import Regions, jacobian, residual
 from cvqmpt_lab.robot.kinematics import Kinematics, forward_kinematics
 
+PROJECTION_TOLERANCE = 1e-4  # [m, rad] on |F|, OMPL's default
+PROJECTION_STEPS = 50  # Newton steps at most, OMPL's default
 DAMPING = 1e-9  # relative to the trace of J J^T
 LONGEST_STEP = 1.0  # [rad] Newton steps are shortened to this norm
 # with stop_on_stall, the first step that leaves more than this share of |F| is the last

@@ -83,6 +83,24 @@ class Regions(NamedTuple):
     upper: Annotated[np.ndarray, "m"]  # Bounds [m or rad]
 
 
+def no_regions() -> Regions:
+    """No region: every configuration satisfies the constraint."""
+    none, numbers = np.empty(0, dtype=np.int64), np.empty(0)
+    rotations, translations = np.empty((0, 3, 3)), np.empty((0, 3))
+    return Regions(
+        link=none,
+        base=none,
+        end_rotation=rotations,
+        end_translation=translations,
+        reference_rotation=rotations,
+        reference_translation=translations,
+        region=none,
+        axis=none,
+        lower=numbers,
+        upper=numbers,
+    )
+
+
 @kernel(inline="machine")
 def _turned(rotation, i, x, y, z):
     """rotation[i] applied to (x, y, z)."""

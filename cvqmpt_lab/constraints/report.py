@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvqmpt_lab.base.poses import rotation_matrices, rotation_vectors, tilts
-from cvqmpt_lab.constraints.task_space_region import ROWS, TOLERANCE, UNITS, TaskSpaceRegion
+from cvqmpt_lab.constraints.project import PROJECTION_TOLERANCE
+from cvqmpt_lab.constraints.task_space_region import ROWS, UNITS, TaskSpaceRegion
 from cvqmpt_lab.robot.robot import Robot
 
 
@@ -97,7 +98,7 @@ def broken_bound(region: TaskSpaceRegion, x: np.ndarray) -> str:
     """The bound that the best of displacements x (m, 7) breaks most, in words, or ""."""
     beyond = excess(region, x)
     k = int(beyond.max(axis=1).argmin())
-    if beyond[k].max() <= TOLERANCE:
+    if beyond[k].max() <= PROJECTION_TOLERANCE:
         return ""
     row = int(beyond[k].argmax())
     use = BoundUse(0, row, float(x[k, row]), *map(float, region.bounds[row]))

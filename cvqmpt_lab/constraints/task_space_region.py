@@ -13,13 +13,16 @@ from cvqmpt_lab.base.codec import Checked
 from cvqmpt_lab.base.errors import InvalidInputError, shown
 from cvqmpt_lab.base.poses import Pose, rigid, rotation_matrices, tilts
 from cvqmpt_lab.base.values import FULL_TURN_RAD, Angle, FloatArray, Name, frozen, numbers
-from cvqmpt_lab.constraints.project import project, projection_scratch
+from cvqmpt_lab.constraints.project import (
+    PROJECTION_STEPS,
+    PROJECTION_TOLERANCE,
+    project,
+    projection_scratch,
+)
 from cvqmpt_lab.constraints.regions import Regions, batch_residual_and_jacobian
 from cvqmpt_lab.robot.robot import Robot
 
 Axis = Literal["x", "-x", "y", "-y", "z", "-z"]
-TOLERANCE = 1e-4  # on |F|, OMPL's default
-MAX_ITERATIONS = 50  # Newton steps, OMPL's default
 FREE = np.inf
 # hand x = world z
 UPRIGHT_ROTATION = np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])
@@ -309,7 +312,10 @@ class RegionConstraint:
         return (residual, jacobian) if np.ndim(q) == 2 else (residual[0], jacobian[0])
 
     def project(
-        self, q: np.ndarray, tolerance: float = TOLERANCE, max_iterations: int = MAX_ITERATIONS
+        self,
+        q: np.ndarray,
+        tolerance: float = PROJECTION_TOLERANCE,
+        max_iterations: int = PROJECTION_STEPS,
     ) -> np.ndarray | None:
         """Move q (n,) onto the manifold by Algorithm 1, inside the limits; None on failure."""
         q = np.array(q, dtype=float)
@@ -322,6 +328,10 @@ class RegionConstraint:
     def regions(self) -> Regions:
         """Plain arrays of all members."""
         return frozen(stack_regions(self.robot, self.members))
+
+    def inner_regions(self, inset: float = 0.0) -> Regions:
+        """Plain arrays of all members, bounds moved inwards, see `stack_regions`."""
+        return stack_regions(self.robot, self.members, inset)
 
 
 def stack_regions(robot: Robot, members: Sequence[TaskSpaceRegion], shrink: float = 0.0) -> Regions:

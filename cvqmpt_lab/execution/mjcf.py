@@ -13,7 +13,7 @@ from xml.etree.ElementTree import Element, SubElement, tostring
 import numpy as np
 
 from cvqmpt_lab.base.errors import InvalidInputError
-from cvqmpt_lab.collision.solids import carried_pairs
+from cvqmpt_lab.collision.carried import carried_pairs
 from cvqmpt_lab.robot.dynamics import link_inertias
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject

@@ -110,7 +110,7 @@ class Worker:
         # a planner that has imported our search may call it
         if "cvqmpt_lab.search.birrt" in sys.modules:
             compile_all()
-            ConstrainedSpace(problem)
+            ConstrainedSpace.of(problem)
         return {}, {}
 
     def plan(self, budget: Budget, seed: int) -> Reply:

@@ -7,8 +7,8 @@ import numpy as np
 
 from cvqmpt_lab.base.errors import InvalidInputError, InvalidProblemError
 from cvqmpt_lab.certificate.certificate import deviation_tolerated
+from cvqmpt_lab.constraints.project import PROJECTION_TOLERANCE
 from cvqmpt_lab.constraints.report import displacements, excess
-from cvqmpt_lab.constraints.task_space_region import TOLERANCE
 from cvqmpt_lab.planning.pipeline import Solution, solve, with_sampled_goals
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.search.method import Method
@@ -68,7 +68,9 @@ def _slack(problem: PlanningProblem, states: np.ndarray) -> tuple[float, float]:
     for region in problem.constraint:
         inside = -excess(region, displacements(problem.robot, region, states))
         # what projection may leave
-        most = np.minimum(most, np.where(region.wide, (inside - TOLERANCE).clip(min=0.0), np.inf))
+        most = np.minimum(
+            most, np.where(region.wide, (inside - PROJECTION_TOLERANCE).clip(min=0.0), np.inf)
+        )
     return float(most[:, 3:].min(axis=1).max()), float(most[:, :3].min(axis=1).max())
 
 

@@ -14,7 +14,8 @@ from cvqmpt_lab.base.processes import one_thread
 from cvqmpt_lab.base.values import frozen
 from cvqmpt_lab.certificate.certificate import Certificate, certify
 from cvqmpt_lab.constraints.inverse_kinematics import GoalSample, reaches_no_pose
-from cvqmpt_lab.constraints.task_space_region import TOLERANCE, TaskSpaceRegionChain
+from cvqmpt_lab.constraints.project import PROJECTION_TOLERANCE
+from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegionChain
 from cvqmpt_lab.planning.planners import planner_named, require_fit
 from cvqmpt_lab.problem import PlanningProblem, check_problem, with_usable_goals
 from cvqmpt_lab.search.anytime import Improvement, check_units, improve, restarted
@@ -145,14 +146,14 @@ def solve(
     observe_seconds = time.perf_counter() - began
     _log.info("%d goals in %.1f ms", len(problem.goals), 1e3 * goal_seconds)
     _log.info("cloud of %s points", "no" if cloud is None else len(cloud))
-    space, rng = ConstrainedSpace(problem, backend), problem.random_stream(seed)
+    space, rng = ConstrainedSpace.of(problem, backend), problem.random_stream(seed)
 
-    query = Query.of(space, budget, rng, seed)
+    query = Query.of(space, problem.start, problem.goals, budget, rng, seed)
     tree_search = stages.search or BiRRT()
     near = NEAR_GOALS if near_goals_first and problem.robot.turning.any() else 0
     attempts: list[_Attempt] = []
     observed = Observation(cloud, use_cache)
-    for attempt in _attempts(query, stages, observed, tree_search, near, clearance):
+    for attempt in _attempts(problem, query, stages, observed, tree_search, near, clearance):
         attempts.append(attempt)
         if query.deadline.spent() is not None or attempt.certified:
             break
@@ -173,7 +174,8 @@ def solve(
     if shorter is not None and optimize is not None and not plan.as_is:
         rng = problem.random_stream(seed, 1)
         paths = stages.path_source or partial(restarted, tree_search, proposal.distribution)
-        shortest, improvement = improve(space, paths, shorter.path, optimize, rng)
+        better_query = Query.of(space, problem.start, problem.goals, optimize, rng)
+        shortest, improvement = improve(better_query, paths, shorter.path)
         better = certify(problem, shortest, clearance=clearance)
         if better.valid:
             shorter, certificate = replace(shorter, path=shortest), better
@@ -208,6 +210,7 @@ class _Attempt(NamedTuple):
 
 
 def _attempts(
+    problem: PlanningProblem,
     query: Query,
     stages: Stages,
     observed: Observation,
@@ -237,7 +240,7 @@ def _attempts(
             if not plan.as_is:
                 shorter = simplify(space, plan.path, query.rng)
             began = time.perf_counter()
-            certificate = certify(space.problem, shorter.path, clearance=clearance)
+            certificate = certify(problem, shorter.path, clearance=clearance)
             certifying = time.perf_counter() - began
             yield _Attempt(plan, proposal, shorter, certificate, certifying)
             _log.info("refused by the certificate: %s", "; ".join(certificate.reasons))
@@ -326,4 +329,4 @@ def _near_and_far(problem: PlanningProblem, rng: np.random.Generator, **options:
 
 def _on_manifold(problem: PlanningProblem, states: np.ndarray) -> np.ndarray:
     """Which of states (k, n) keep the constraint."""
-    return np.linalg.norm(problem.manifold.residual(states), axis=1) <= TOLERANCE
+    return np.linalg.norm(problem.manifold.residual(states), axis=1) <= PROJECTION_TOLERANCE

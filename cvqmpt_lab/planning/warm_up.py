@@ -56,7 +56,7 @@ def compile_kernels(announce: Callable[[str], None]) -> float:
     problem = problem.changed(goals=start[None])
     for name in ("roadmap", "opt-cvq-mpt"):
         _through_stages(problem, planner_named(name), "compiled")
-    space = ConstrainedSpace(problem)  # what planners in Python ask state by state
+    space = ConstrainedSpace.of(problem)  # what planners in Python ask state by state
     space.project(start)
     space.valid(start)
     space.residual_and_jacobian(start)
@@ -98,13 +98,13 @@ def _through_stages(problem: PlanningProblem, method: Method, backend: str) -> N
     """Predict and update with a random cloud, search and shorten, for a problem with goals."""
     rng = np.random.default_rng(0)
     stages = method.stages(problem)
-    space, few = ConstrainedSpace(problem, backend), Budget(iterations=20)
-    query = Query.of(space, few, rng)
+    space, few = ConstrainedSpace.of(problem, backend), Budget(iterations=20)
+    query = Query.of(space, problem.start, problem.goals, few, rng)
     proposal = stages.predict(query, Observation(rng.uniform(-1.0, 1.0, (2048, 3))))
     if stages.update is not None:
         stages.update(query, proposal)
     # the prediction may have used up the budget
-    query = Query.of(space, few, rng)
+    query = Query.of(space, problem.start, problem.goals, few, rng)
     search(stages.search or BiRRT(), query, Proposal(query.uniform))
     still = JointPath(np.array([problem.start, problem.start]))
     simplify(space, still, rng, attempts=16)

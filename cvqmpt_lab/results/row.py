@@ -28,10 +28,6 @@ from cvqmpt_lab.base.values import scalar
 
 ROW_SCHEMA = "2"
 RUNS_FILE = "runs.csv"
-BY_ROLLOUTS = "solved by rollouts"  # start of `detail` if the path joins states of a rollout
-ROLLOUTS_ALONE = f"{BY_ROLLOUTS} alone"  # the same without any tree between the states
-# cost of one clearance relative to one state check, see docs/performance.md
-CLEARANCE_COST = 1 / 3
 
 # phases that the paper seems to time
 PAPER_PHASES = ("reach-handle", "reach-can", "carry")
@@ -348,14 +344,6 @@ def _row_of_checked(values: Sequence[Any]) -> ResultRow:
     row = object.__new__(ResultRow)
     vars(row).update(zip(ROW_COLUMNS, values, strict=True))
     return row
-
-
-def search_work(projections: int, state_checks: int, clearances: int | None) -> float:
-    """Return the work of a search: projections + state checks + CLEARANCE_COST * clearances.
-
-    clearances: None in old rows and for planners that read none.
-    """
-    return projections + state_checks + CLEARANCE_COST * (clearances or 0)
 
 
 def read_rows(path: Path) -> list[ResultRow]:

@@ -32,6 +32,7 @@ from cvqmpt_lab.robot.hulls import (
 from cvqmpt_lab.robot.mechanism import ArticulatedObject, with_articulated_object
 from cvqmpt_lab.robot.robot import (
     LIMIT_UNITS,
+    HeldJoint,
     Robot,
     axis_frames,
     in_link,
@@ -47,7 +48,6 @@ from cvqmpt_lab.robot.source import (
 )
 from cvqmpt_lab.robot.urdf import (
     LOCKED,
-    HeldJoint,
     Urdf,
     check_bodies,
     held_joints,

@@ -16,7 +16,14 @@ import pinocchio as pin
 from cvqmpt_lab.base.errors import InvalidInputError, require_choice
 from cvqmpt_lab.base.values import frozen
 from cvqmpt_lab.robot.kinematics import Kinematics
-from cvqmpt_lab.robot.urdf import HeldJoint
+
+
+class HeldJoint(NamedTuple):
+    """A joint that planning does not move."""
+
+    name: str
+    value: float  # constant value [rad or m]
+    reason: str  # why planning does not move it
 
 
 class LeftOut(NamedTuple):

@@ -24,6 +24,7 @@ from cvqmpt_lab.base.errors import (
 )
 from cvqmpt_lab.base.files import read_text
 from cvqmpt_lab.base.values import FULL_TURN_RAD, scalar
+from cvqmpt_lab.robot.robot import HeldJoint
 
 
 @dataclass(frozen=True)
@@ -59,14 +60,6 @@ class Joint:
 
 
 LOCKED = "locked by name"  # reason of a joint in `RobotSource.locked`
-
-
-class HeldJoint(NamedTuple):
-    """A joint that planning does not move."""
-
-    name: str
-    value: float  # constant value [rad or m]
-    reason: str  # why planning does not move it
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,7 +22,6 @@ from cvqmpt_lab.search.edge_costs import EdgeCosts
 from cvqmpt_lab.search.lazy_roadmap import FREE
 from cvqmpt_lab.search.motion import Space, distance, posed_state_valid, project_state
 from cvqmpt_lab.search.planner_interface import (
-    Deadline,
     PathSource,
     Query,
     SamplingDistribution,
@@ -98,28 +97,21 @@ def check_units(budget: Budget, optimize: Budget) -> None:
 
 
 def improve(
-    space: ConstrainedSpace,
-    source: PathSource,
-    first: JointPath,
-    budget: Budget,
-    rng: np.random.Generator,
-    gain: float = 0.002,
+    query: Query, source: PathSource, first: JointPath, gain: float = 0.002
 ) -> tuple[JointPath, Improvement]:
     """Find other paths and shorten them within a budget; the best is never longer than the first.
 
     Args:
-        space: the planning space.
+        query: start, goals, space, random numbers, and a budget for this alone.
         source: of other paths.
         first: a path on the manifold, free and shortened.
-        budget: seconds or iterations.
-        rng: random numbers.
         gain: a path is shortened again while that takes off more than this share of its length.
 
     Returns:
         The best path, and what was done.
     """
-    deadline = Deadline(budget, space)
-    straight = np.linalg.norm(space.problem.goals - space.problem.start, axis=1)
+    deadline = query.deadline
+    straight = np.linalg.norm(query.goals - query.start, axis=1)
     nearest = max(float(straight.min()), LEAST)
     best, lengths, searches, shortening = first, [(0.0, first.length)], 0, True
     while deadline.spent() is None:
@@ -127,28 +119,28 @@ def improve(
         if not shortening:
             if nearest >= best.length:
                 break  # the path is straight
-            found = source(space, best, deadline, rng, searches)
+            found = source(query, best, searches)
             searches += 1
         deadline.count()  # so that a round without iterations ends, too
         if found is None:
             continue
-        found = simplify(space, found, rng, seconds=deadline.rest().seconds or np.inf).path
+        found = simplify(
+            query.space, found, query.rng, seconds=deadline.rest().seconds or np.inf
+        ).path
         shortening = found.length < (1.0 - gain) * best.length
         if found.length < best.length:
             best = found
             lengths.append((deadline.seconds, best.length))
     return best, Improvement(
-        budget, deadline.seconds, deadline.counters.iterations, searches, tuple(lengths)
+        deadline.budget, deadline.seconds, deadline.counters.iterations, searches, tuple(lengths)
     )
 
 
 def restarted(
     method: Search,
     distribution: SamplingDistribution,
-    space: ConstrainedSpace,
+    query: Query,
     best: JointPath,
-    deadline: Deadline,
-    rng: np.random.Generator,
     number: int,
 ) -> JointPath | None:
     """A path of another search by the same method; see `PathSource`.
@@ -156,25 +148,23 @@ def restarted(
     Every other one draws near straight lines to the goals, the others from the first search's
     distribution, informed samples first.
     """
-    start, rest = space.problem.start, deadline.rest()
+    start, rest = query.start, query.deadline.rest()
     if number % 2 == 0:
-        goals = nearer_goals(space, best.length)
+        goals = nearer_goals(query, best.length)
         samples: SamplingDistribution = InformedFirst(distribution, start, goals, best.length)
         most = 200  # iterations
     else:
         stretches = (1.1, 1.3, 1.6, 2.0, 2.6, np.inf)
-        goals, samples = informed_samples(space, best.length, stretches[number // 2 % 6])
+        goals, samples = informed_samples(query, best.length, stretches[number // 2 % 6])
         most = 60  # iterations
     bounded = replace(rest, iterations=min(most, rest.iterations or most))
-    return method.search(space, start, goals, samples, bounded, rng).path
+    return method.search(query.space, start, goals, samples, bounded, query.rng).path
 
 
 def informed_roadmap_path(
     edge_costs: Callable[[ConstrainedSpace], EdgeCosts],
-    space: ConstrainedSpace,
+    query: Query,
     best: JointPath,
-    deadline: Deadline,
-    rng: np.random.Generator,
     number: int,
 ) -> JointPath | None:
     """A path through a small roadmap of draws from the informed set; see `PathSource`.
@@ -183,9 +173,10 @@ def informed_roadmap_path(
     shortened: raw paths up to twice as long as the best one are accepted. Numbers were chosen on
     tuning problems.
     """
-    start, stretch = space.problem.start, (1.6, 2.0, 1.3, 2.6, np.inf)[number % 5]
-    goals, samples = informed_samples(space, best.length, stretch)
-    draws = samples.sample(rng, 100)  # half of them are free in the kitchen
+    space, start = query.space, query.start
+    stretch = (1.6, 2.0, 1.3, 2.6, np.inf)[number % 5]
+    goals, samples = informed_samples(query, best.length, stretch)
+    draws = samples.sample(query.rng, 100)  # half of them are free in the kitchen
     nodes = draws[: keep_informed.unchecked(space.arrays, draws, start, goals, best.length)]
     space.reraise()
     if len(nodes) < 2:
@@ -195,31 +186,31 @@ def informed_roadmap_path(
         costs = costs._replace(weight=1.0)
     roadmap = Roadmap.of(nodes, min(20, len(nodes) - 1))
     settings = RoadmapSearchSettings(penalty=0.0, searches=20, greed=1.5)
-    query = RoadmapQuery(space, roadmap, start, goals, settings, costs, longest, FREE)
-    found = query.next_path(deadline)
+    search = RoadmapQuery(space, roadmap, start, goals, settings, costs, longest, FREE)
+    found = search.next_path(query.deadline)
     return found if found is not None and found.length < longest else None
 
 
-def nearer_goals(space: ConstrainedSpace, length: float) -> np.ndarray:
+def nearer_goals(query: Query, length: float) -> np.ndarray:
     """Goals (k, n) whose straight line from the start is shorter than `length` [rad]."""
-    goals = space.problem.goals
-    return goals[np.maximum(np.linalg.norm(goals - space.problem.start, axis=1), LEAST) < length]
+    straight = np.linalg.norm(query.goals - query.start, axis=1)
+    return query.goals[np.maximum(straight, LEAST) < length]
 
 
 def informed_samples(
-    space: ConstrainedSpace, length: float, stretch: float
+    query: Query, length: float, stretch: float
 ) -> tuple[np.ndarray, "InformedSamples"]:
     """The informed sets of paths shorter than `length` [rad] to the goals, and these goals (k, n).
 
     stretch: upper bound on path length / straight length, of several that are tried in turn. Goals
         whose set it does not reduce are left out, unless all are.
     """
-    start, goals = space.problem.start, nearer_goals(space, length)
+    start, goals, robot = query.start, nearer_goals(query, length), query.space.robot
     reach = np.minimum(stretch * np.maximum(np.linalg.norm(goals - start, axis=1), LEAST), length)
     short = reach < length
     if short.any():
         goals, reach = goals[short], reach[short]
-    return goals, InformedSamples(start, goals, reach, space.robot.lower, space.robot.upper)
+    return goals, InformedSamples(start, goals, reach, robot.lower, robot.upper)
 
 
 @dataclass(frozen=True, eq=False)

@@ -177,13 +177,12 @@ def free_rows(space: ConstrainedSpace, wide: float = 1.0) -> np.ndarray:
 
     Axes are those of `TaskSpaceRegion.Bw`: positions 0 to 2, rotation vector 3 to 5.
     """
-    rows = [
-        (k, axis)
-        for k, region in enumerate(space.problem.constraint)
-        for axis in range(6)
-        if region.Bw[axis, 1] - region.Bw[axis, 0] > wide
-    ]
-    return np.array(rows, dtype=np.int64).reshape(-1, 2)
+    if space.constraint is None:
+        return np.empty((0, 2), dtype=np.int64)
+    regions = space.constraint.inner_regions()
+    width = np.full((len(regions.link), 7), np.inf)
+    width[regions.region, regions.axis] = regions.upper - regions.lower
+    return np.argwhere(width[:, :6] > wide)
 
 
 def enlarged_grids(grids: Grids) -> Grids:

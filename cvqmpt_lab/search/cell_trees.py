@@ -17,7 +17,6 @@ from typing import Annotated
 import numpy as np
 
 from cvqmpt_lab.base.jit import entry, kernel
-from cvqmpt_lab.results.row import CLEARANCE_COST
 from cvqmpt_lab.search.birrt import (
     CONNECTED,
     FULL,
@@ -55,6 +54,9 @@ from cvqmpt_lab.search.nearest import index_new_nodes, nearest_node
 from cvqmpt_lab.search.planner_interface import Deadline, SamplingDistribution
 from cvqmpt_lab.search.result import Budget, JointPath, PlanResult
 from cvqmpt_lab.search.space import ConstrainedSpace
+from cvqmpt_lab.search.work import search_work
+
+_work = kernel(search_work)
 
 
 @kernel
@@ -137,8 +139,7 @@ def grow_cells(
             crowded = crowded or grids.known[g] + 2 * longest >= grids.place.shape[1]
         if crowded:
             return FULL, i
-        work = counters[PROJECTIONS] + counters[STATE_CHECKS]
-        work += CLEARANCE_COST * counters[CLEARANCES]
+        work = _work(counters[PROJECTIONS], counters[STATE_CHECKS], counters[CLEARANCES])
         if work >= most_work:
             return GROWING, i
         counters[ITERATIONS] += 1

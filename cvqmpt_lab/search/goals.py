@@ -8,9 +8,9 @@ import numpy as np
 
 from cvqmpt_lab.base.jit import entry, kernel
 from cvqmpt_lab.collision.arrays import robot_arrays, scene_arrays
+from cvqmpt_lab.collision.carried import reach_with
 from cvqmpt_lab.collision.checker import in_contact
 from cvqmpt_lab.collision.geometry import RobotGeometry, SceneGeometry
-from cvqmpt_lab.collision.solids import reach_with
 from cvqmpt_lab.constraints.inverse_kinematics import (
     ATTEMPTS,
     INSIDE,

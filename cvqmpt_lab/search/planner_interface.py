@@ -214,12 +214,25 @@ class Query:
 
     @classmethod
     def of(
-        cls, space: ConstrainedSpace, budget: Budget, rng: np.random.Generator, seed: int = 0
+        cls,
+        space: ConstrainedSpace,
+        start: np.ndarray,
+        goals: np.ndarray,
+        budget: Budget,
+        rng: np.random.Generator,
+        seed: int = 0,
     ) -> "Query":
-        """The query of a space's problem; the clock starts now."""
-        return cls(
-            space, space.problem.start, space.problem.goals, Deadline(budget, space), rng, seed
-        )
+        """A query whose clock starts now.
+
+        Args:
+            space: the planning space.
+            start: (n,) [rad or m].
+            goals: (k, n) [rad or m].
+            budget: of prediction and search.
+            rng: random numbers.
+            seed: that `rng` came from.
+        """
+        return cls(space, start, goals, Deadline(budget, space), rng, seed)
 
     def one_by_one(self) -> list["Query"]:
         """A query for each goal, each with an equal share of the budget."""
@@ -283,11 +296,9 @@ class Search(Protocol):
 
 
 # A free path on the manifold that shortening may make shorter than the best one known, or None, of
-# (space, best path, deadline of the run, random numbers, number of calls before this one). Called
-# while the straight line to a goal is shorter than the best path.
-PathSource: TypeAlias = Callable[
-    [ConstrainedSpace, JointPath, Deadline, np.random.Generator, int], JointPath | None
-]
+# (query, best path, number of calls before this one). Called while the straight line to a goal is
+# shorter than the best path.
+PathSource: TypeAlias = Callable[[Query, JointPath, int], JointPath | None]
 
 
 @dataclass(frozen=True, eq=False)

@@ -139,7 +139,7 @@ class _Run:
         uniform, asked = Uniform(space.robot.lower, space.robot.upper), (near, *self._ends)
         query = RoadmapQuery(space, *asked, method.settings, method.costs(space))
         if method.oracle:
-            aside = ConstrainedSpace(space.problem, space.backend)
+            aside = space.again()
             known = RoadmapQuery(aside, *asked, method.settings, method.costs(aside))
             known.next_path(Deadline(self.deadline.budget, aside))
             query.avoid(known)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from cvqmpt_lab.base.errors import InvalidInputError, require_kind, shown, whole_number
-from cvqmpt_lab.results.row import search_work
+from cvqmpt_lab.search.work import search_work
 
 
 class PlanStatus(StrEnum):

@@ -16,7 +16,6 @@ import numpy as np
 from cvqmpt_lab.base.caches import cached_arrays, sources_digest
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.collision.arrays import robot_arrays
-from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Attachment, Scene
 from cvqmpt_lab.search import lazy_roadmap as kernels
@@ -95,11 +94,8 @@ def _kept(
     nodes_of: Callable[[ConstrainedSpace], np.ndarray],
 ) -> Roadmap:
     """The roadmap of the nodes that a function returns, kept in the user's cache."""
-    middle = 0.5 * (robot.lower + robot.upper)
-    alone = PlanningProblem(
-        robot.name, robot, Scene("empty", ()), middle, middle[None], attachments=attachments
-    )
-    space, geometry = ConstrainedSpace(alone), robot_arrays(robot, attachments)
+    space = ConstrainedSpace(robot, Scene("empty", ()), attachments=attachments)
+    geometry = robot_arrays(robot, attachments)
     parts = [sources_digest(Path(__file__)).encode(), robot.kinematics_digest.encode(), made_of]
     parts += [np.ascontiguousarray(array).tobytes() for array in (*geometry.pieces, *geometry[1:])]
 

@@ -1,20 +1,25 @@
-"""The planning space of a problem: projection and state checks, counted, for all planners."""
+"""The planning space: projection and state checks, counted, for all planners."""
 
 import ctypes
-from typing import Annotated
+from collections.abc import Callable
+from typing import Annotated, Any, Protocol, Self
 
 import numpy as np
 
 from cvqmpt_lab.base.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.base.jit import check_arrays, entry
 from cvqmpt_lab.collision.arrays import robot_arrays, robot_swing, scene_arrays
-from cvqmpt_lab.collision.exact import CollisionChecker
-from cvqmpt_lab.collision.solids import reach_with
-from cvqmpt_lab.constraints.project import projection_scratch
-from cvqmpt_lab.constraints.regions import Regions, jacobian, residual
-from cvqmpt_lab.constraints.task_space_region import MAX_ITERATIONS, TOLERANCE, stack_regions
-from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.collision.carried import reach_with
+from cvqmpt_lab.constraints.constraint import Constraint
+from cvqmpt_lab.constraints.project import (
+    PROJECTION_STEPS,
+    PROJECTION_TOLERANCE,
+    projection_scratch,
+)
+from cvqmpt_lab.constraints.regions import Regions, jacobian, no_regions, residual
 from cvqmpt_lab.robot.kinematics import forward_kinematics
+from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.scene.scene import Attachment, Scene
 from cvqmpt_lab.search import motion
 from cvqmpt_lab.search.motion import DEVIATION, bisect_motion, project_state, state_valid
 from cvqmpt_lab.search.result import Counters, JointPath
@@ -71,6 +76,48 @@ def _chord(regions: Regions, inset: float, most: float = 6e-4, certified: float 
     return min(most, certified + taken)
 
 
+class StateChecker(Protocol):
+    """An exact collision checker, such as `collision.exact.CollisionChecker`."""
+
+    def in_collision(self, q: np.ndarray) -> bool:
+        """Return whether configuration q (n,) touches anything."""
+
+
+class World(Protocol):
+    """Everything of a planning problem that its space is made of, see `PlanningProblem`."""
+
+    @property
+    def robot(self) -> Robot:
+        """The robot."""
+
+    @property
+    def scene(self) -> Scene:
+        """Obstacles."""
+
+    @property
+    def manifold(self) -> Constraint:
+        """The constraint F(q) = 0."""
+
+    @property
+    def attachments(self) -> tuple[Attachment, ...]:
+        """Bodies that the robot carries."""
+
+    @property
+    def clearance(self) -> float:
+        """Distance kept from obstacles [m]."""
+
+    @property
+    def start(self) -> np.ndarray:
+        """Start configuration (n,) [rad or m]."""
+
+    @property
+    def goals(self) -> np.ndarray:
+        """Goal configurations (k, n) [rad or m]."""
+
+    def collision_checker(self, margin: float = 0.0) -> StateChecker:
+        """Return the exact checker that keeps a margin [m] from obstacles."""
+
+
 class StateCheck:
     """An exact state check that compiled code calls by address; without a checker none is free.
 
@@ -78,7 +125,7 @@ class StateCheck:
     and the state counts as invalid. The object must outlive its use.
     """
 
-    def __init__(self, checker: CollisionChecker | None, n: int) -> None:
+    def __init__(self, checker: StateChecker | None, n: int) -> None:
         self.error: BaseException | None = None
         self.query = query = np.zeros(n)
 
@@ -96,11 +143,19 @@ class StateCheck:
 
 
 class ConstrainedSpace:
-    """Compiled arrays of a problem, and counters of the work done with them.
+    """Compiled arrays of a robot, a scene and a constraint, and counters of the work done in them.
 
     Args:
-        problem: gives robot, load, scene, constraint, start and goals.
-        backend: state checks are "compiled", or "exact" by coal; all else is the same code.
+        robot: the robot.
+        scene: obstacles.
+        constraint: F(q) = 0; None: all configurations.
+        attachments: bodies that the robot carries.
+        clearance: kept from obstacles in addition to `margin` [m].
+        backend: state checks are "compiled", or "exact" by `checker`; all else is the same code.
+        checker: makes the exact checker that keeps a margin [m]; without it there are no exact
+            checks.
+        ends: start and goals (k, n) [rad or m]. Where the compiled check, which is conservative,
+            blocks one that is free, exact checks decide near it.
         step: between neighbouring states [rad], as in the paper.
         margin: kept from obstacles [m].
         inset: by which bounds are tightened [m, rad]: motions between states at the bounds stay
@@ -112,28 +167,47 @@ class ConstrainedSpace:
 
     def __init__(
         self,
-        problem: PlanningProblem,
+        robot: Robot,
+        scene: Scene,
+        constraint: Constraint | None = None,
+        *,
+        attachments: tuple[Attachment, ...] = (),
+        clearance: float = 0.0,
         backend: str = "compiled",
+        checker: Callable[[float], StateChecker] | None = None,
+        ends: np.ndarray | None = None,
         step: float = 0.05,
         margin: float = 1e-4,
         inset: float = 1e-3,
     ) -> None:
         if backend not in BACKENDS:
             raise UnknownChoiceError("backend", backend, BACKENDS)
-        robot, n = problem.robot, problem.robot.dof
-        self.problem, self.robot, self.backend = problem, robot, backend
-        exact = problem.collision_checker(margin) if backend == "exact" else None
+        n = robot.dof
+        self._made_of: dict[str, Any] = {
+            "attachments": attachments,
+            "clearance": clearance,
+            "backend": backend,
+            "checker": checker,
+            "ends": ends,
+            "step": step,
+            "margin": margin,
+            "inset": inset,
+        }
+        self.robot, self.scene, self.constraint = robot, scene, constraint
+        self.attachments, self.backend = attachments, backend
+        if backend == "exact" and checker is None:
+            raise InvalidInputError("backend exact: give the space a checker")
+        exact = checker(margin) if checker is not None and backend == "exact" else None
         self._check = StateCheck(exact, n)
-        regions = stack_regions(robot, problem.constraint, inset)
-        reach = reach_with(robot, problem.attachments)
+        regions = no_regions() if constraint is None else constraint.inner_regions(inset)
         self.arrays = motion.Space(
             kinematics=robot.kinematics,
             regions=regions,
-            robot=robot_arrays(robot, problem.attachments),
-            scene=scene_arrays(problem.scene, reach, problem.clearance),
-            tolerance=TOLERANCE,
+            robot=robot_arrays(robot, attachments),
+            scene=scene_arrays(scene, reach_with(robot, attachments), clearance),
+            tolerance=PROJECTION_TOLERANCE,
             chord=_chord(regions, inset),
-            max_iterations=MAX_ITERATIONS,
+            max_iterations=PROJECTION_STEPS,
             step=step,
             resolution=0.01,
             margin=margin,
@@ -141,22 +215,47 @@ class ConstrainedSpace:
             check=self._check.address,
             query=self._check.query,
             doubtful=np.empty((0, n)),
-            swing=robot_swing(robot, problem.attachments),
+            swing=robot_swing(robot, attachments),
             counters=np.zeros(8, dtype=np.int64),
             state=np.zeros(n),
             scratch=projection_scratch(n, regions),
         )
         check_arrays(self.arrays)
-        self.doubtful = self._find_doubtful()
+        self.doubtful = ()
+        if checker is not None and ends is not None:
+            self.doubtful = self._find_doubtful(checker(0.0), ends)
 
-    def _find_doubtful(self) -> tuple[str, ...]:
-        """Find `doubtful`, and let exact checks decide near them."""
-        ends = np.vstack([self.problem.start, self.problem.goals])
+    @classmethod
+    def of(cls, world: World, backend: str = "compiled", **options: Any) -> Self:
+        """The space of a planning problem; options: step, margin and inset, see above."""
+        return cls(
+            world.robot,
+            world.scene,
+            world.manifold,
+            attachments=world.attachments,
+            clearance=world.clearance,
+            backend=backend,
+            checker=world.collision_checker,
+            ends=np.vstack([world.start, world.goals]),
+            **options,
+        )
+
+    def again(self) -> "ConstrainedSpace":
+        """The same space with counters of its own."""
+        return ConstrainedSpace(self.robot, self.scene, self.constraint, **self._made_of)
+
+    def unconstrained(self) -> "ConstrainedSpace":
+        """The same world without its constraint; work done there is counted here."""
+        free = ConstrainedSpace(self.robot, self.scene, **self._made_of)
+        free.arrays = free.arrays._replace(counters=self.arrays.counters)
+        return free
+
+    def _find_doubtful(self, checker: StateChecker, ends: np.ndarray) -> tuple[str, ...]:
+        """Find `doubtful` among start and goals (k, n), and let exact checks decide near them."""
         free = self.valid_batch(ends)
         self.arrays.counters[:] = 0
         if free.all():
             return ()
-        checker = self.problem.collision_checker()
         rows = [k for k in np.flatnonzero(~free) if not checker.in_collision(ends[k])]
         self._check = StateCheck(checker, self.robot.dof)
         self.arrays = self.arrays._replace(
@@ -183,12 +282,6 @@ class ConstrainedSpace:
         if self._check.error is not None:
             error, self._check.error = self._check.error, None
             raise error
-
-    def unconstrained(self) -> "ConstrainedSpace":
-        """The same world without its constraint; work done there is counted here."""
-        free = ConstrainedSpace(self.problem.changed(constraint=()), self.backend)
-        free.arrays = free.arrays._replace(counters=self.arrays.counters)
-        return free
 
     @property
     def dim(self) -> int:

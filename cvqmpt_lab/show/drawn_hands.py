@@ -35,7 +35,8 @@ def sampled_hands(
     if cloud is not None:
         yield "cloud", cloud, GHOST
     if method.sampler is not None and len(problem.goals):
-        query = Query.of(ConstrainedSpace(problem), Budget(seconds=1.0), rng).one_by_one()[0]
+        space, budget = ConstrainedSpace.of(problem), Budget(seconds=1.0)
+        query = Query.of(space, problem.start, problem.goals[:1], budget, rng)
         found = stages.predict(query, Observation(cloud))
         updated = found if stages.update is None else stages.update(query, found)
         for part, colour in ((found, GHOST), (updated, TRACE)):

@@ -15,7 +15,8 @@ from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.base.poses import pose, rotation_vectors
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.inverse_kinematics import INSIDE, SAMPLE_MARGIN, sample_region
-from cvqmpt_lab.constraints.task_space_region import TOLERANCE, TaskSpaceRegion
+from cvqmpt_lab.constraints.project import PROJECTION_TOLERANCE
+from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.planning.pipeline import MAX_GOALS
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import robot_from_source
@@ -263,7 +264,7 @@ def _sampled(
     goals = found.configurations
     if isinstance(phase, Move) and len(goals):
         off = np.linalg.norm(problem.manifold.residual(goals), axis=1)
-        goals = goals[off <= TOLERANCE]
+        goals = goals[off <= PROJECTION_TOLERANCE]
         if len(goals) == 0:
             found = drawn(rng=problem.random_stream(), within=problem.constraint)
             goals = found.configurations

@@ -16,7 +16,6 @@ from cvqmpt_lab.base.codec import to_plain
 from cvqmpt_lab.base.errors import InvalidInputError, require_choice, whole_number
 from cvqmpt_lab.base.files import locked, make_folder, read_json_object, write_bytes, write_text
 from cvqmpt_lab.benchmarks.families import FAMILIES, family_scene
-from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.provenance import provenance
 from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.load import robot_from_source
@@ -219,8 +218,7 @@ def scene_arrays(family: int, number: int, scene: Scene) -> dict[str, Any]:
 
 def unconstrained_space(robot: Robot, scene: Scene) -> ConstrainedSpace:
     """The unconstrained planning space of a scene."""
-    middle = 0.5 * (robot.lower + robot.upper)
-    return ConstrainedSpace(PlanningProblem(scene.name, robot, scene, middle, middle[None]))
+    return ConstrainedSpace(robot, scene)
 
 
 def free_configurations(
@@ -243,7 +241,7 @@ def near_obstacles(
     rotations, translations = link_poses(robot.kinematics, configurations)
     hand = rotations[:, link] @ T[:3, 3] + translations[:, link]
     near = np.zeros(len(configurations), dtype=bool)
-    for item in space.problem.scene.obstacles:
+    for item in space.scene.obstacles:
         _, size = SHAPES[type(item.shape)](item.shape)
         half = 0.5 * np.array(size) if isinstance(item.shape, Box) else np.array(size)
         local = (hand - item.T_world_object[:3, 3]) @ item.T_world_object[:3, :3]

@@ -12,7 +12,6 @@ import numpy as np
 from cvqmpt_lab.search.anytime import short_path, unconstrained_path
 from cvqmpt_lab.search.planner_interface import Observation, Proposal, Query
 from cvqmpt_lab.search.result import Timings
-from cvqmpt_lab.search.space import ConstrainedSpace
 from cvqmpt_lab.vqmpt.scene_predictor import SequencePredictor
 
 
@@ -111,10 +110,7 @@ def oracle_codes(
 
 def solved_way(query: Query, observation: Observation, tries: int = 6) -> CodeProposal:
     """The shortest of six solutions of the problem: a bound. Its time counts, its work does not."""
-    aside, found = (
-        ConstrainedSpace(query.space.problem, query.space.backend),
-        CodeProposal(query.uniform),
-    )
+    aside, found = query.space.again(), CodeProposal(query.uniform)
     paths = []
     for _ in range(tries):
         if query.deadline.spent():

@@ -11,6 +11,9 @@ import numpy as np
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.base.values import Array, Condition, FloatArray, Length
 
+# begins a result's `detail` where MPNet found the path; ROLLOUTS_ALONE: no tree grew
+BY_ROLLOUTS = "solved by rollouts"
+ROLLOUTS_ALONE = f"{BY_ROLLOUTS} alone"
 # added to variances in layer norms of the published architecture and of the dictionary
 LAYER_NORM_EPSILON = 1e-6
 

@@ -21,7 +21,7 @@ import numpy as np
 
 from cvqmpt_lab.base.codec import Checked
 from cvqmpt_lab.base.values import Condition
-from cvqmpt_lab.constraints.task_space_region import RegionConstraint
+from cvqmpt_lab.constraints.constraint import Constraint
 from cvqmpt_lab.vqmpt.codebook import Codebook, CodeGaussians
 
 Count = Annotated[int, Condition(int, lambda n: n >= 1, "1 or more")]
@@ -62,7 +62,7 @@ class LatentOptimizer:
         self._objective = LatentObjective(codebook)
 
     def optimize(
-        self, z0: np.ndarray, constraint: RegionConstraint, rng: np.random.Generator
+        self, z0: np.ndarray, constraint: Constraint, rng: np.random.Generator
     ) -> Optimized:
         """Compute UpdateDistribution(z).
 
@@ -90,7 +90,7 @@ class LatentOptimizer:
         return Optimized(z, before, after, kept, steps, time.perf_counter() - began)
 
     def _descend(
-        self, z0: np.ndarray, constraint: RegionConstraint, noise: np.ndarray
+        self, z0: np.ndarray, constraint: Constraint, noise: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Iterate z <- z - eta dL/dz, z <- z / |z|; return codes (c, code_dim) and steps (c,)."""
         settings = self.settings
@@ -133,7 +133,7 @@ class LatentObjective:
         self.lower = codebook.configurations.lower  # (n,) [rad or m]
         self.range = codebook.configurations.range  # (n,) [rad or m]
 
-    def value(self, z: np.ndarray, constraint: RegionConstraint, noise: np.ndarray) -> np.ndarray:
+    def value(self, z: np.ndarray, constraint: Constraint, noise: np.ndarray) -> np.ndarray:
         """Compute L(z) (c,).
 
         Args:
@@ -145,7 +145,7 @@ class LatentObjective:
         return _mean_square(constraint.residual_and_jacobian(q)[0], (len(z), len(noise)))
 
     def value_and_gradient(
-        self, z: np.ndarray, constraint: RegionConstraint, noise: np.ndarray
+        self, z: np.ndarray, constraint: Constraint, noise: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Compute L(z) (c,) and dL/dz (c, code_dim); arguments as of `value`."""
         c = len(z)

@@ -166,10 +166,11 @@ class LearnedSampler:
         Without codes or constraint: the proposal itself.
         """
         assert isinstance(proposal, CodeProposal)
-        if query.space.dim == 0 or len(proposal.codes) == 0:
+        constraint = query.space.constraint
+        if constraint is None or query.space.dim == 0 or len(proposal.codes) == 0:
             return proposal
         vectors = self.codebook.vectors[proposal.codes]
-        moved = optimizer.optimize(vectors, query.space.problem.manifold, query.rng)
+        moved = optimizer.optimize(vectors, constraint, query.rng)
         before, after = moved.g_before.mean(), moved.g_after.mean()
         gaussians = self.gaussians(proposal.codes, moved.z)
         return replace(

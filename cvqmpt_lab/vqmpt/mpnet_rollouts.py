@@ -23,13 +23,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.results.row import BY_ROLLOUTS, ROLLOUTS_ALONE
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.search.birrt import BiRRT
 from cvqmpt_lab.search.planner_interface import Observation, Proposal, Query
 from cvqmpt_lab.search.result import JointPath, PlanStatus, Timings
 from cvqmpt_lab.search.space import ConstrainedSpace, direct_motion
-from cvqmpt_lab.vqmpt.config import MPNetConfig
+from cvqmpt_lab.vqmpt.config import BY_ROLLOUTS, ROLLOUTS_ALONE, MPNetConfig
 from cvqmpt_lab.vqmpt.scene_arrays import Layers
 from cvqmpt_lab.vqmpt.weights import StoredModel
 

@@ -97,7 +97,9 @@ def update_codes(
     stages = planner_named(PUBLISHED if published else PLANNER, model).stages(problem)
     assert stages.observe is not None and stages.update is not None
     cloud = stages.observe(problem.scene)
-    query = Query.of(ConstrainedSpace(problem), Budget(seconds=60.0), planned)
+    query = Query.of(
+        ConstrainedSpace.of(problem), problem.start, problem.goals, Budget(seconds=60.0), planned
+    )
     proposal = stages.predict(query, Observation(cloud))
     assert isinstance(proposal, CodeProposal)
     before, after = proposal.distribution, stages.update(query, proposal).distribution

@@ -195,5 +195,5 @@ def test_family_problems_start_and_end_upright_and_free(family):
     for number in (0, 1001):
         problem = family_problem(family, number)
         check_problem(problem)
-        space = ConstrainedSpace(problem)
+        space = ConstrainedSpace.of(problem)
         assert not motion_free(space.arrays, problem.start, problem.goals[0])

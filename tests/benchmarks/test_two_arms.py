@@ -7,7 +7,7 @@ import pytest
 from refusals import refused
 
 from cvqmpt_lab.benchmarks.two_arms import hold, two_arms_problem
-from cvqmpt_lab.constraints.task_space_region import TOLERANCE
+from cvqmpt_lab.constraints.project import PROJECTION_TOLERANCE
 
 
 @pytest.mark.parametrize("index", [0, 60])
@@ -24,7 +24,7 @@ def test_a_problem_is_a_function_of_its_index(index):
 def test_both_hands_hold_the_thing_at_the_start_and_it_is_level(index):
     """By pinocchio's poses; only because both hold it does the second hand touch it."""
     problem = two_arms_problem(index)
-    assert np.linalg.norm(problem.manifold.residual(problem.start)) <= TOLERANCE
+    assert np.linalg.norm(problem.manifold.residual(problem.start)) <= PROJECTION_TOLERANCE
     checker = problem.collision_checker()
     assert not checker.in_collision(problem.start)
     (item,), robot = problem.attachments, problem.robot

@@ -53,9 +53,9 @@ def test_a_new_problem_leads_round_an_obstacle_from_a_calm_start_for_any_urdf(tm
     wrong = {**data, "robot": {"urdf": "a.urdf", "end_efector": "tool0"}}
     assert list(validator.iter_errors(wrong))
     problem = with_sampled_goals(PlanningProblem.load(path))[0]
-    space = ConstrainedSpace(problem)
+    space = ConstrainedSpace.of(problem)
     assert all(direct_motion(space, problem.start, goal) is None for goal in problem.goals[1::2])
-    empty = ConstrainedSpace(replace(problem, scene=problem.scene.without("wall")))
+    empty = ConstrainedSpace.of(replace(problem, scene=problem.scene.without("wall")))
     assert any(direct_motion(empty, problem.start, goal) is not None for goal in problem.goals)
 
 

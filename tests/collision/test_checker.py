@@ -28,7 +28,7 @@ def compiled_hits(robot, scene, states, attachments=(), margin=0.0):
     """Whether the compiled checker calls each state colliding, (b,)."""
     start = np.append(HOME, 0.0)[: robot.dof] if robot.dof >= len(HOME) else np.zeros(robot.dof)
     problem = PlanningProblem("test", robot, scene, start, start[None], attachments=attachments)
-    space = ConstrainedSpace(problem, margin=margin)
+    space = ConstrainedSpace.of(problem, margin=margin)
     return np.array([not space.valid(q) for q in states])
 
 

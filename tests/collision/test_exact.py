@@ -107,7 +107,7 @@ def test_what_is_never_paired(panda):
     for far in (brick((10.0, 0.0, 0.0)), *(SceneObject("cloud", c, np.eye(4)) for c in clouds)):
         assert CollisionChecker(panda, scene_of(far)).clearance(HOME) == alone
         problem = PlanningProblem("far", panda, scene_of(far), HOME, HOME[None])
-        assert ConstrainedSpace(problem).valid(HOME)
+        assert ConstrainedSpace.of(problem).valid(HOME)
 
 
 @pytest.mark.parametrize("margin", [0.0, 0.03])

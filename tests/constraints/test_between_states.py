@@ -15,10 +15,10 @@ from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.benchmarks.two_arms import hold
 from cvqmpt_lab.certificate.between_states import _between, evenly_spaced, largest_violation
 from cvqmpt_lab.constraints.named import Region, relative_pose
+from cvqmpt_lab.constraints.project import PROJECTION_TOLERANCE
 from cvqmpt_lab.constraints.report import bound_usage, displacements, excess
 from cvqmpt_lab.constraints.task_space_region import (
     FREE,
-    TOLERANCE,
     RegionConstraint,
     TaskSpaceRegion,
     TaskSpaceRegionChain,
@@ -178,7 +178,7 @@ def test_a_hand_turns_freely_about_an_axis_and_about_no_other(baxter):
     manifold = RegionConstraint(baxter, (free,))
     found = [q for start in draws if (q := manifold.project(start)) is not None]
     T = np.linalg.inv(held.T0_w) @ relative(baxter, np.array(found))
-    assert np.abs(T[:, :3, 3]).max() <= 2 * TOLERANCE and (T[:, 2, 2] > 1.0 - 1e-6).all()
+    assert np.abs(T[:, :3, 3]).max() <= 2 * PROJECTION_TOLERANCE and (T[:, 2, 2] > 1.0 - 1e-6).all()
     assert np.ptp(np.arctan2(T[:, 1, 0], T[:, 0, 0])) > 3.0
 
 

@@ -26,10 +26,8 @@ from cvqmpt_lab.certificate.certificate import certify
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.inverse_kinematics import sample_region
 from cvqmpt_lab.constraints.named import Region
-from cvqmpt_lab.constraints.task_space_region import (
-    TOLERANCE,
-    RegionConstraint,
-)
+from cvqmpt_lab.constraints.project import PROJECTION_TOLERANCE
+from cvqmpt_lab.constraints.task_space_region import RegionConstraint
 from cvqmpt_lab.planning.pipeline import solve, with_sampled_goals
 from cvqmpt_lab.planning.planners import planner_named
 from cvqmpt_lab.problem import PlanningProblem
@@ -60,7 +58,7 @@ def test_projection_lands_on_the_handle():
     angles = np.array(landed)[:, 7]
     assert angles.min() >= -1.57 and angles.max() <= 0.0 and np.ptp(angles) > 1.0
     for q in landed:
-        assert np.linalg.norm(of_hand(robot, chain, q)[:5]) <= TOLERANCE + 1e-9
+        assert np.linalg.norm(of_hand(robot, chain, q)[:5]) <= PROJECTION_TOLERANCE + 1e-9
         bar = np.linalg.inv(robot.pose(q)) @ robot.pose(q, BAR)
         np.testing.assert_allclose(bar[:3, 3], (0.0, 0.0, 0.10), atol=2e-4)
 

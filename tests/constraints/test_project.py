@@ -5,12 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cvqmpt_lab.constraints.task_space_region import (
-    TOLERANCE,
-    RegionConstraint,
-    TaskSpaceRegion,
-    upright,
-)
+from cvqmpt_lab.constraints.project import PROJECTION_TOLERANCE
+from cvqmpt_lab.constraints.task_space_region import RegionConstraint, TaskSpaceRegion, upright
 
 
 def region_at(position, half):
@@ -46,7 +42,7 @@ def test_the_upright_manifold_is_reached_inside_the_limits_from_anywhere(panda, 
     assert len(q) >= least * 5000
     assert len(projected(manifold, samples, max_iterations=6)) >= 0.5 * len(q)
     assert (q >= panda.lower).all() and (q <= panda.upper).all()
-    assert np.linalg.norm(manifold.residual(q), axis=1).max() <= TOLERANCE
+    assert np.linalg.norm(manifold.residual(q), axis=1).max() <= PROJECTION_TOLERANCE
 
 
 @pytest.mark.parametrize("held", [1, 3, 5])
@@ -72,7 +68,7 @@ def test_the_input_is_not_changed_and_is_clipped_first(panda):
     assert (far == 10.0).all()
     manifold = RegionConstraint(panda, (upright(), region_at((0.4, 0.0, 0.5), 0.1)))
     q = projected(manifold, panda.random_configurations(np.random.default_rng(1), 50))
-    assert len(q) > 0 and np.linalg.norm(manifold.residual(q), axis=1).max() <= TOLERANCE
+    assert len(q) > 0 and np.linalg.norm(manifold.residual(q), axis=1).max() <= PROJECTION_TOLERANCE
 
 
 def test_an_unreachable_region_and_what_is_not_a_number_fail(panda):

@@ -59,7 +59,7 @@ def near_contact(problem, space, rng, count):
 def test_collision(trials):
     """Half of the states are near contact."""
     for problem, count, seed in tuning_problems(trials, STATES):
-        space, rng = ConstrainedSpace(problem), np.random.default_rng(seed)
+        space, rng = ConstrainedSpace.of(problem), np.random.default_rng(seed)
         anywhere = problem.robot.random_configurations(rng, count // 2)
         q = np.concatenate([anywhere, near_contact(problem, space, rng, count // 2)])
         free = q[space.valid_batch(q)]

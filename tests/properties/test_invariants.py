@@ -14,9 +14,9 @@ from scipy.spatial.transform import Rotation
 from cvqmpt_lab.base.codec import from_plain, to_plain
 from cvqmpt_lab.base.poses import Placement
 from cvqmpt_lab.benchmarks.families import random_scene
+from cvqmpt_lab.constraints.project import PROJECTION_TOLERANCE
 from cvqmpt_lab.constraints.task_space_region import (
     FREE,
-    TOLERANCE,
     RegionConstraint,
     TaskSpaceRegion,
     TaskSpaceRegionChain,
@@ -73,7 +73,7 @@ def test_projection(robot, region, seed):
     for q in robot.random_configurations(np.random.default_rng(seed), 20):
         found = manifold.project(q)
         if found is not None:
-            assert np.linalg.norm(manifold.residual(found)) <= TOLERANCE
+            assert np.linalg.norm(manifold.residual(found)) <= PROJECTION_TOLERANCE
             assert robot.joint_outside_limits(found) is None
 
 
@@ -177,7 +177,7 @@ def test_trees(seed):
     problem = problem_around(seed)
     if problem is None:
         return
-    space, rng, search = ConstrainedSpace(problem), np.random.default_rng(seed), BiRRT()
+    space, rng, search = ConstrainedSpace.of(problem), np.random.default_rng(seed), BiRRT()
     sampler = Uniform(problem.robot.lower, problem.robot.upper)
     checker = problem.collision_checker()
     for tree in search.search(space, problem.start, problem.goals, sampler, FEW, rng).trees:
@@ -188,7 +188,9 @@ def test_trees(seed):
         both, nodes = kept[children] & kept[tree.parent[children]], tree.nodes[kept]
         assert (steps[both] <= 2.0 * search.step + 1e-9).all()
         assert not checker.in_collision_batch(nodes).any()
-        assert (np.linalg.norm(problem.manifold.residual(nodes), axis=1) <= TOLERANCE).all()
+        assert (
+            np.linalg.norm(problem.manifold.residual(nodes), axis=1) <= PROJECTION_TOLERANCE
+        ).all()
 
 
 @pytest.mark.promise("paths begin and end where they should, certified", "cases")

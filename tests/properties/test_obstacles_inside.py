@@ -76,7 +76,7 @@ def test_obstacles_on_a_path(trials):
             hit = replace(problem, scene=scene, attachments=(CAN,))
             faults = certify(hit, JointPath(states[k : k + 2]), clearance=False).faults
             seen = {
-                "kernels": not ConstrainedSpace(hit).valid(q),
+                "kernels": not ConstrainedSpace.of(hit).valid(q),
                 "coal": hit.collision_checker().in_collision(q),
                 "certificate": any(fault.kind is FaultKind.COLLISION for fault in faults),
             }

@@ -84,7 +84,7 @@ def test_doors_and_drawers_move_freely_with_the_planners_margin(panda, name):
     scene, robot = mechanism(panda, whole, name)
     q = np.append(AWAY, 0.0)
     problem = PlanningProblem("test", robot, scene, q, q[None])
-    spaces = [ConstrainedSpace(problem, backend) for backend in ("compiled", "exact")]
+    spaces = [ConstrainedSpace.of(problem, backend) for backend in ("compiled", "exact")]
     casing = [whole[n] for n in whole.names if n not in scene.names and n not in joint.moves]
     for value in np.linspace(joint.lower, joint.upper, 40):
         assert all(space.valid(np.append(AWAY, value)) for space in spaces), value
@@ -120,7 +120,7 @@ def test_a_load_is_checked_against_door_and_casing(world, grasp):
     problem = PlanningProblem("rod", world[1], nothing, *ends, attachments=(rod,))
     checker = problem.collision_checker()
     assert checker.colliding_pair(grasp).first.startswith((DOOR, "dagger"))
-    assert checker.in_collision(grasp) and not ConstrainedSpace(problem).valid(grasp)
+    assert checker.in_collision(grasp) and not ConstrainedSpace.of(problem).valid(grasp)
 
 
 def test_an_unknown_door_and_a_door_of_measured_points_are_refused():
@@ -188,4 +188,4 @@ def test_an_srdf_that_keeps_overlapping_pairs_is_named_by_the_pair(slider_arm_ur
     problem = PlanningProblem("bulky", robot, NOTHING, np.zeros(4), [[0.1, 0.05, -0.1, 0.2]])
     message = r"start is in collision: .*_0 and tool_0"
     refused(message, check_problem, problem, error=InvalidProblemError)
-    assert not ConstrainedSpace(problem).valid(problem.start)
+    assert not ConstrainedSpace.of(problem).valid(problem.start)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cvqmpt_lab.base.errors import UnknownChoiceError
-from cvqmpt_lab.collision.solids import carried_pairs
+from cvqmpt_lab.collision.carried import carried_pairs
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.source import ARMS as NAMED
 from cvqmpt_lab.robot.source import example_robots

@@ -31,7 +31,7 @@ def test_a_maze_is_solved_and_repeats_bit_for_bit(maze):
 
 def grown(problem, slices, seed=2):
     """The path and work of trees that grow in slices of so much work."""
-    space = ConstrainedSpace(problem)
+    space = ConstrainedSpace.of(problem)
     growth = CellTrees(space, problem.start, problem.goals, problem.random_stream(seed))
     for _ in range(1_000_000):
         before = space.work
@@ -61,10 +61,10 @@ def test_motions_of_the_trees_are_free_and_on_the_manifold(maze):
 
 
 def test_free_rows(maze):
-    space = ConstrainedSpace(maze)
+    space = ConstrainedSpace.of(maze)
     assert free_rows(space).tolist() == [[0, 0], [0, 1], [0, 5]]
     assert len(empty_grids(space, np.random.default_rng(0)).projection) == 5
-    bare = ConstrainedSpace(maze.changed(constraint=()))
+    bare = ConstrainedSpace.of(maze.changed(constraint=()))
     assert free_rows(bare).shape == (0, 2)
 
 

@@ -68,15 +68,20 @@ def test_no_point_moves_further_than_its_swing(request, name, attachments):
 
 
 @pytest.fixture(scope="module")
-def kitchen_space(panda, open_kitchen):
-    return ConstrainedSpace(PlanningProblem("kitchen", panda, open_kitchen, HOME, HOME[None]))
+def kitchen_problem(panda, open_kitchen):
+    return PlanningProblem("kitchen", panda, open_kitchen, HOME, HOME[None])
 
 
 @pytest.fixture(scope="module")
-def motions(kitchen_space):
+def kitchen_space(kitchen_problem):
+    return ConstrainedSpace.of(kitchen_problem)
+
+
+@pytest.fixture(scope="module")
+def motions(kitchen_problem, kitchen_space):
     """Free states a, b (k, n) up to 0.3 rad apart, on either side of a contact."""
     rng, robot = np.random.default_rng(0), kitchen_space.robot
-    free = near_contact(kitchen_space.problem, kitchen_space, rng, 1000)
+    free = near_contact(kitchen_problem, kitchen_space, rng, 1000)
     contacts = np.repeat(free, 30, axis=0)
     away = rng.standard_normal((2, *contacts.shape))
     far = rng.uniform(0.0, 0.15, (2, len(contacts), 1))
@@ -107,9 +112,9 @@ def along(motions, spacing):
     return np.linspace(a, b, 1 + int(np.ceil(longest / spacing)), axis=1)
 
 
-def test_motions_called_free_are_free_for_coal(kitchen_space, motions, answers):
+def test_motions_called_free_are_free_for_coal(kitchen_problem, kitchen_space, motions, answers):
     """All states, not only those that were checked."""
-    checker = kitchen_space.problem.collision_checker()
+    checker = kitchen_problem.collision_checker()
     a, b = (ends[answers] for ends in motions)
     close = np.flatnonzero(~all_free(kitchen_space, along((a, b), FINE)))  # by less than the margin
     rest = np.random.default_rng(0).choice(len(a), 300, replace=False)
@@ -133,7 +138,7 @@ def test_what_only_the_middle_of_a_motion_meets_is_noticed(panda):
     def answer(depth):
         place = panda.pose(HOME) @ pose((0.0, 0.05, depth))
         scene = Scene("ball", (SceneObject("ball", Sphere(0.005), place),))
-        space = ConstrainedSpace(PlanningProblem("ball", panda, scene, a, b[None]))
+        space = ConstrainedSpace.of(PlanningProblem("ball", panda, scene, a, b[None]))
         return space.valid(a), space.valid(b), motion_free(space.arrays, a, b)
 
     assert answer(0.1) == (True, True, False)
@@ -199,7 +204,7 @@ def test_refined_motions_keep_narrow_bounds_as_the_certificate_asks(panda, toler
     bounds = [FREE, FREE, tolerance, FREE, FREE, FREE]
     flat = symmetric_region(pose((0.0, 0.0, 0.5)), pose((0.0, 0.0, -0.6)), bounds)
     problem = PlanningProblem("flat", panda, Scene("empty", ()), HOME, HOME[None], (flat,))
-    space, rng = ConstrainedSpace(problem), np.random.default_rng(0)
+    space, rng = ConstrainedSpace.of(problem), np.random.default_rng(0)
     found = 0
     for begin in panda.random_configurations(rng, 2000):
         direction = rng.normal(size=panda.dof)

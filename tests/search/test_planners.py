@@ -96,9 +96,9 @@ def test_unknown_settings_of_the_tree_search_are_refused():
         refused(f"reach {reach}: give the longest extension", BiRRT, reach=reach)
 
 
-def searched(space, budget, distribution=None, goals=None, **settings):
+def searched(problem, space, budget, distribution=None, goals=None, **settings):
     """What the tree search finds, by default with uniform draws."""
-    problem, rng = space.problem, np.random.default_rng(0)
+    rng = np.random.default_rng(0)
     distribution = distribution or Uniform(problem.robot.lower, problem.robot.upper)
     goals = problem.goals if goals is None else goals
     return BiRRT(**settings).search(space, problem.start, goals, distribution, budget, rng)
@@ -106,7 +106,7 @@ def searched(space, budget, distribution=None, goals=None, **settings):
 
 def test_trees_are_enlarged_when_full(problem):
     """Steps of 2 mrad need more than the 4096 nodes that a tree has room for at first."""
-    result = searched(ConstrainedSpace(problem, step=0.002), ENOUGH, step=0.002)
+    result = searched(problem, ConstrainedSpace.of(problem, step=0.002), ENOUGH, step=0.002)
     sizes = [len(tree.nodes) for tree in result.trees]
     assert max(sizes) > 4096 and sum(sizes) == result.vertices
     assert certify(problem, result.path, clearance=False).valid
@@ -117,9 +117,9 @@ def test_a_budget_in_seconds_is_kept_to_a_tenth_of_a_second(problem, backend):
     """A hopeless search: the goal's tree cannot leave the ball of obstacles around it."""
     uniform = Uniform(problem.robot.lower, problem.robot.lower + 0.3)
     how = {"goals": problem.goals[:1] + 1e-3, "reach": 0.2}
-    space = ConstrainedSpace(problem, backend)
+    space = ConstrainedSpace.of(problem, backend)
     began = time.perf_counter()
-    result = searched(space, Budget(seconds=0.5), uniform, **how)
+    result = searched(problem, space, Budget(seconds=0.5), uniform, **how)
     assert result.status is PlanStatus.TIMEOUT and result.counters.iterations > 0
     assert time.perf_counter() - began < 0.6
 
@@ -139,9 +139,9 @@ def test_any_distribution_is_sampled_and_named_and_its_samples_clipped(problem, 
 def test_extensions_are_counted_by_their_ends(problem):
     """Where one step makes an extension, each adds one node; where it takes many, far fewer."""
     roots = 1 + len(problem.goals)
-    result = searched(ConstrainedSpace(problem), Budget(iterations=40), step=100.0)
+    result = searched(problem, ConstrainedSpace.of(problem), Budget(iterations=40), step=100.0)
     assert result.counters.extensions == result.vertices - roots > 0
-    result = searched(ConstrainedSpace(problem), Budget(iterations=40))
+    result = searched(problem, ConstrainedSpace.of(problem), Budget(iterations=40))
     assert 0 < 3 * result.counters.extensions < result.vertices - roots
     result = plan(problem, "ompl-projected", ENOUGH)
     assert 1 <= result.vertices - result.counters.extensions - 1 <= len(problem.goals)
@@ -150,7 +150,7 @@ def test_extensions_are_counted_by_their_ends(problem):
 @pytest.mark.parametrize("draws", ["raw", "projected", "free"])
 def test_trees_extend_towards_what_is_made_of_draws(problem, draws):
     """Raw draws stay; projected ones keep F(q) = 0; free ones are free of collision, too."""
-    space = ConstrainedSpace(problem)
+    space = ConstrainedSpace.of(problem)
     trees = plant(problem.start, problem.goals, 4096)
     drawn = Uniform(problem.robot.lower, problem.robot.upper).sample(np.random.default_rng(0), 60)
     made = drawn.copy()
@@ -178,8 +178,8 @@ def test_trees_extend_towards_what_is_made_of_draws(problem, draws):
 def test_draws_that_never_reach_the_constraint_end_with_that_reason(problem):
     """A pose a kilometre away: nothing is projected onto it."""
     region = TaskSpaceRegion(pose((1000.0, 0.0, 0.0)), np.eye(4), np.zeros((6, 2)))
-    space = ConstrainedSpace(problem.changed(constraint=(region,)))
-    result = searched(space, Budget(iterations=50))
+    space = ConstrainedSpace.of(problem.changed(constraint=(region,)))
+    result = searched(problem, space, Budget(iterations=50))
     assert result.status is PlanStatus.ITERATION_LIMIT and result.counters.iterations == 50
     assert result.detail == "none of 50 draws reached the constraint"
 
@@ -236,7 +236,7 @@ def test_ompl_keeps_nothing_of_a_run(problem, manifold):
 
     The binding frees no state that Python allocates: 96 bytes each, 2 kB a run of 20 goals.
     """
-    space, goals = ConstrainedSpace(problem), np.repeat(problem.goals[:1], 100, axis=0)
+    space, goals = ConstrainedSpace.of(problem), np.repeat(problem.goals[:1], 100, axis=0)
     search, rng = OmplSearch(manifold), np.random.default_rng(0)
 
     def run_nine_times(space):
@@ -254,7 +254,7 @@ def test_ompl_keeps_nothing_of_a_run(problem, manifold):
 
 
 def test_checked_path_names_the_bad_segment(problem, solution):
-    space, states = ConstrainedSpace(problem), solution.path.states
+    space, states = ConstrainedSpace.of(problem), solution.path.states
     good, bad = space.checked_path(states)
     assert bad == -1 and good.length == pytest.approx(solution.path.length, rel=1e-3)
     through_the_kitchen = np.array([*states[:5], problem.goals[3], *states[5:]])
@@ -290,17 +290,17 @@ def tight(problem):
 
 def test_a_start_closer_than_the_margin_is_doubtful_and_allowed(problem, tight):
     assert 0.0 < tight.collision_checker().clearance(tight.start) < MARGIN
-    space = ConstrainedSpace(tight)
+    space = ConstrainedSpace.of(tight)
     assert space.doubtful == space.unconstrained().doubtful == ("start",)
     assert space.valid(tight.start) and all(space.valid(goal) for goal in tight.goals)
     far = touching_distance(problem, problem.start) + 5.0 * MARGIN
     for roomy in (problem, with_block(problem, problem.start, far)):
-        assert ConstrainedSpace(roomy).doubtful == ()
+        assert ConstrainedSpace.of(roomy).doubtful == ()
 
 
 def test_exact_checks_answer_near_it_only(tight):
     """A goal in the same place needs its own name; coal checks the start's neighbours."""
-    space, exact = ConstrainedSpace(tight), tight.collision_checker()
+    space, exact = ConstrainedSpace.of(tight), tight.collision_checker()
     cautious = tight.collision_checker(MARGIN)
     rng = np.random.default_rng(0)
     near = tight.start + 1e-5 * rng.standard_normal((300, 7))
@@ -308,11 +308,11 @@ def test_exact_checks_answer_near_it_only(tight):
     assert (expected & cautious.in_collision_batch(near)).sum() > 50
     np.testing.assert_array_equal([space.valid(q) for q in near], expected)
     both = tight.changed(goals=np.array([*tight.goals[:2], tight.start]))
-    assert ConstrainedSpace(both).doubtful == ("start", "goal 2")
+    assert ConstrainedSpace.of(both).doubtful == ("start", "goal 2")
 
 
 def test_birrt_solves_from_a_doubtful_start_and_says_so(tight):
-    space = ConstrainedSpace(tight)
+    space = ConstrainedSpace.of(tight)
     solution = solve(tight, "birrt", ENOUGH, seed=0)
     assert solution.plan.status is PlanStatus.SOLVED
     assert solution.plan.detail == "exact checks near start"
@@ -323,7 +323,7 @@ def test_birrt_solves_from_a_doubtful_start_and_says_so(tight):
 
 def test_what_touches_is_not_doubtful_but_refused(problem):
     blocked = with_block(problem, problem.start, touching_distance(problem, problem.start) - 1e-3)
-    space = ConstrainedSpace(blocked)
+    space = ConstrainedSpace.of(blocked)
     assert space.doubtful == () and not space.valid(blocked.start)
     told = r"start is in collision: .*block"
     refused(told, solve, blocked, "birrt", ENOUGH, seed=0, error=InvalidProblemError)

@@ -59,7 +59,7 @@ def plan(tuning, roadmap, seed=0, **options):
 
 def query_of(problem, roadmap, longest=np.inf, **settings):
     """A query and a generous deadline in a fresh space."""
-    space = ConstrainedSpace(problem)
+    space = ConstrainedSpace.of(problem)
     asked = RoadmapSearchSettings(**settings), scene_costs(space), longest
     query = RoadmapQuery(space, roadmap, problem.start, problem.goals, *asked)
     return space, query, Deadline(ENOUGH, space)
@@ -104,7 +104,7 @@ def nll_of(space, costs, a, b, lowest=FARTHEST):
 
 
 def test_edges_cost_more_the_less_likely_they_are_free(tuning, roadmap):
-    space = ConstrainedSpace(replace(tuning, constraint=()))
+    space = ConstrainedSpace.of(replace(tuning, constraint=()))
     motions = np.stack([roadmap.nodes[:400], roadmap.nodes[roadmap.neighbours[:400, 0]]], axis=1)
     free = np.array([space.valid(a) and motion_free(space.arrays, a, b) for a, b in motions])
     costs = scene_costs(space)
@@ -125,7 +125,7 @@ LONG = {"attempts": 400, "seconds": 100.0, "patience": 1000}
 
 @pytest.fixture
 def space(problem):
-    return ConstrainedSpace(problem)
+    return ConstrainedSpace.of(problem)
 
 
 def simplified(space, path, seed=0, **bounds):
@@ -144,7 +144,7 @@ def test_a_simplified_path_is_shorter_and_certified(problem, solution, space, se
 
 def test_one_seed_gives_one_path_with_either_backend(problem, solution):
     how = ("compiled", 7), ("compiled", 7), ("exact", 7), ("compiled", 8)
-    spaces = ((ConstrainedSpace(problem, backend), seed) for backend, seed in how)
+    spaces = ((ConstrainedSpace.of(problem, backend), seed) for backend, seed in how)
     one, *same, other = (simplified(space, solution.plan.path, seed).path for space, seed in spaces)
     assert [states_hash(path.states) for path in same] == 2 * [states_hash(one.states)]
     assert states_hash(other.states) != states_hash(one.states)
@@ -222,12 +222,14 @@ def test_paths_that_cost_more_than_asked_are_not_looked_for(problem, roadmap):
 def test_informed_roadmaps_find_shorter_paths_that_repeat(problem, first):
     def better(path):
         search, rng = partial(informed_roadmap_path, scene_costs), np.random.default_rng(0)
-        return improve(ConstrainedSpace(problem), search, path, Budget(iterations=400), rng)
+        space, budget = ConstrainedSpace.of(problem), Budget(iterations=400)
+        query = Query.of(space, problem.start, problem.goals, budget, rng)
+        return improve(query, search, path)
 
     (path, made), (again, _) = better(first), better(first)
     np.testing.assert_array_equal(path.states, again.states)
     assert path.length < first.length and made.searches > 3 and made.iterations >= 400
-    space = ConstrainedSpace(problem)
+    space = ConstrainedSpace.of(problem)
     assert space.checked_path(path.states)[0] is not None
     assert max(np.abs(space.residual_and_jacobian(q)[0]).max() for q in path.states) < 1e-3
     nearest = problem.goals[np.linalg.norm(problem.goals - problem.start, axis=1).argmin()]
@@ -238,7 +240,8 @@ def turns(problem, budget=None, seed=0, **changes):
     """The result of `roadmap` with changes to its turns."""
     method = replace(planner_named("roadmap").stages(problem).search, **changes)
     rng = np.random.default_rng(seed)
-    query = Query.of(ConstrainedSpace(problem), budget or ENOUGH, rng)
+    space = ConstrainedSpace.of(problem)
+    query = Query.of(space, problem.start, problem.goals, budget or ENOUGH, rng)
     return search(method, query, uniform(query, Observation()))
 
 

@@ -56,7 +56,7 @@ def ur5():
 def test_nodes_and_the_motions_along_links_are_free_and_near(ur5):
     robot, roadmap = ur5
     middle = 0.5 * (robot.lower + robot.upper)
-    space = ConstrainedSpace(PlanningProblem("bare", robot, EMPTY, middle, middle[None]))
+    space = ConstrainedSpace.of(PlanningProblem("bare", robot, EMPTY, middle, middle[None]))
     assert roadmap.nodes.shape == (NODES, 6) and roadmap.neighbours.shape == (NODES, NEIGHBOURS)
     assert space.valid_batch(roadmap.nodes).all()
     for i in np.random.default_rng(0).choice(NODES, 40, replace=False):
@@ -136,7 +136,7 @@ def test_where_every_edge_is_blocked_birrt_searches_within_the_budget(problem):
     centres = np.random.default_rng(0).uniform((-0.7, -0.7, 0.0), (0.7, 0.7, 1.2), (500, 3))
     balls = (SceneObject(f"ball {c}", Sphere(0.05), pose(tuple(c))) for c in centres)
     alone = ((ball, replace(problem, scene=Scene("ball", (ball,)))) for ball in balls)
-    kept = [ball for ball, one in alone if ConstrainedSpace(one).valid_batch(ends).all()]
+    kept = [ball for ball, one in alone if ConstrainedSpace.of(one).valid_batch(ends).all()]
     blocked = replace(problem, scene=Scene("balls", tuple(kept)))
     plan = solve(blocked, "roadmap", Budget(seconds=0.5), 0, clearance=False).plan
     assert plan.status is PlanStatus.TIMEOUT and plan.fallback.startswith("birrt around ")

@@ -17,6 +17,7 @@ from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.scene.shapes import Box, Cylinder, OccupancyMap, Sphere
 from cvqmpt_lab.search.birrt import BiRRT
 from cvqmpt_lab.search.method import Method
+from cvqmpt_lab.search.planner_interface import Stages
 from cvqmpt_lab.search.result import Budget, Counters, PlanResult, PlanStatus
 from cvqmpt_lab.tasks.solve import solve_task
 from cvqmpt_lab.tasks.task import Grasp, Release
@@ -135,10 +136,14 @@ class FailsOnce:
     """birrt, but the first planning run to the end of a named phase finds nothing, slowly."""
 
     def __init__(self, phase):
-        self.phase, self.failed = phase, False
+        self.phase, self.failed, self.problem = phase, False, ""
+
+    def build(self, problem, model):
+        self.problem = problem.name
+        return Stages(search=self)
 
     def search(self, space, *arguments):
-        if space.problem.name.endswith(self.phase) and not self.failed:
+        if self.problem.endswith(self.phase) and not self.failed:
             self.failed = True
             time.sleep(0.5)
             return PlanResult(PlanStatus.TIMEOUT, None, 0.5, Counters(), 0, "none")
@@ -146,7 +151,7 @@ class FailsOnce:
 
 
 def test_another_grasp_is_tried_when_a_later_phase_fails(task):
-    solution = solve_task(task, Method.simple("birrt", search=FailsOnce("carry")), BUDGET, seed=0)
+    solution = solve_task(task, Method("birrt", FailsOnce("carry").build), BUDGET, seed=0)
     assert solution.solved
     approach = next(outcome for outcome in solution.outcomes if outcome.phase.name == "approach")
     assert len(approach.attempts) == 2
@@ -162,10 +167,14 @@ class SlidesOnlyAtLeisure:
     """birrt, but slides need more than a second."""
 
     def __init__(self):
-        self.given = []
+        self.given, self.problem = [], ""
+
+    def build(self, problem, model):
+        self.problem = problem.name
+        return Stages(search=self)
 
     def search(self, space, start, goals, distribution, budget, rng):
-        if space.problem.name.endswith("approach"):
+        if self.problem.endswith("approach"):
             self.given.append((round(budget.seconds), tuple(start)))
             if budget.seconds < 1.0:
                 return PlanResult(PlanStatus.TIMEOUT, None, 0.0, Counters(), 0, "none")
@@ -174,7 +183,7 @@ class SlidesOnlyAtLeisure:
 
 def test_a_slide_gets_little_time_until_all_grasps_have_failed(task):
     search = SlidesOnlyAtLeisure()
-    solution = solve_task(task, Method.simple("birrt", search=search), Budget(seconds=3.0), seed=0)
+    solution = solve_task(task, Method("birrt", search.build), Budget(seconds=3.0), seed=0)
     assert solution.solved
     seconds = [given for given, _ in search.given]
     assert seconds == sorted(seconds) and set(seconds) == {0, 3}

@@ -11,7 +11,6 @@ from cvqmpt_lab.benchmarks.place_task import TUNING_ENVIRONMENTS, place_problem
 from cvqmpt_lab.certificate.certificate import certify
 from cvqmpt_lab.planning.pipeline import solve, with_sampled_goals
 from cvqmpt_lab.planning.planners import CONTROLS, planner_named
-from cvqmpt_lab.results.row import BY_ROLLOUTS, ROLLOUTS_ALONE
 from cvqmpt_lab.results.store import states_hash
 from cvqmpt_lab.search.method import Method
 from cvqmpt_lab.search.planner_interface import Observation, Query, Uniform
@@ -21,7 +20,7 @@ from cvqmpt_lab.training.mpnet_stage import MPNet
 from cvqmpt_lab.vqmpt.checkpoint import Checkpoint, stored
 from cvqmpt_lab.vqmpt.code_predictors import CodeProposal
 from cvqmpt_lab.vqmpt.codebook import codes_of
-from cvqmpt_lab.vqmpt.config import MPNetConfig
+from cvqmpt_lab.vqmpt.config import BY_ROLLOUTS, ROLLOUTS_ALONE, MPNetConfig
 from cvqmpt_lab.vqmpt.learned_sampler import (
     LearnedSampler,
     codebook_of,
@@ -42,7 +41,8 @@ def problem():
 
 @pytest.fixture
 def query(problem):
-    return Query.of(ConstrainedSpace(problem), ENOUGH, np.random.default_rng(0))
+    space, rng = ConstrainedSpace.of(problem), np.random.default_rng(0)
+    return Query.of(space, problem.start, problem.goals, ENOUGH, rng)
 
 
 @pytest.fixture
@@ -251,7 +251,7 @@ def heading_network(share=0.5):
 
 def on_manifold(problem, draw, valid):
     """A projected draw (n,), of a generator, that is valid or not."""
-    space, rng = ConstrainedSpace(problem), np.random.default_rng(0)
+    space, rng = ConstrainedSpace.of(problem), np.random.default_rng(0)
     while True:
         q = draw(rng)
         if space.project(q) and space.valid(q) == valid:
@@ -349,7 +349,7 @@ def test_rollouts_alone_reach_a_goal_that_a_direct_motion_does(tuning):
 
 
 def test_a_straight_line_is_checked_for_collision_alone(tuning):
-    space = ConstrainedSpace(tuning)
+    space = ConstrainedSpace.of(tuning)
     off = tuning.start.copy()
     off[6] += 0.3  # turns the hand: off the manifold
     assert space.valid(off) and np.linalg.norm(tuning.manifold.residual(off)) > 0.01

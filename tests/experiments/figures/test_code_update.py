@@ -49,7 +49,9 @@ def update(problem):
 def test_the_mixtures_are_those_that_the_planners_sample(update, when, planner):
     stages = planner_named(planner).stages(update.problem)
     rng = np.random.default_rng(np.random.SeedSequence(0).spawn(1)[0])
-    query = Query.of(ConstrainedSpace(update.problem), Budget(seconds=60.0), rng)
+    problem, budget = update.problem, Budget(seconds=60.0)
+    space = ConstrainedSpace.of(problem)
+    query = Query.of(space, problem.start, problem.goals, budget, rng)
     proposal = stages.predict(query, Observation(update.cloud))
     if stages.update is not None:
         proposal = stages.update(query, proposal)

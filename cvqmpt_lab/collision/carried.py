@@ -1,0 +1,41 @@
+"""What a robot carries: pairs of pieces to check, and how far robot and load reach."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from cvqmpt_lab.base.errors import InvalidInputError
+from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.scene.scene import Attachment
+from cvqmpt_lab.scene.shapes import bounding_radius
+
+
+def carried_pairs(robot: Robot, attachments: Sequence[Attachment]) -> list[tuple[int, int]]:
+    """(link piece, attachment) index pairs, without pieces fixed to a hand that holds it."""
+    holding = [[robot.hand(name)[0] for name in item.held_by] for item in attachments]
+    return [
+        (i, k)
+        for k, hands in enumerate(holding)
+        for i, piece in enumerate(robot.links)
+        if piece.link not in hands
+    ]
+
+
+def reach_with(robot: Robot, attachments: Sequence[Attachment], longest: float = 20.0) -> float:
+    """Radius [m] of a ball around the base that neither the robot nor what it carries can leave.
+
+    InvalidInputError names what reaches further than `longest` [m]: its distance grid would take
+    all memory. The usual cause is a wrong unit.
+    """
+    carried = [
+        float(np.linalg.norm(item.T_hand_object[:3, 3])) + bounding_radius(item.shape)
+        for item in attachments
+    ]
+    names = [f"robot {robot.name}", *(f"attachment {item.name!r}" for item in attachments)]
+    for name, length in zip(names, (robot.reach, *carried), strict=True):
+        if not length <= longest:
+            raise InvalidInputError(
+                f"{name} reaches {length:.3g} m, more than {longest:g}: give positions, sizes and "
+                "slider limits in metres"
+            )
+    return robot.reach + max(carried, default=0.0)
