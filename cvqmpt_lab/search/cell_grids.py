@@ -182,7 +182,8 @@ def free_rows(space: ConstrainedSpace, wide: float = 1.0) -> np.ndarray:
     regions = space.constraint.inner_regions()
     width = np.full((len(regions.link), 7), np.inf)
     width[regions.region, regions.axis] = regions.upper - regions.lower
-    return np.argwhere(width[:, :6] > wide)
+    # compiled code reads rows one after the other in memory
+    return np.ascontiguousarray(np.argwhere(width[:, :6] > wide))
 
 
 def enlarged_grids(grids: Grids) -> Grids:
