@@ -31,7 +31,7 @@ from cvqmpt_lab.cli.problem_options import (
     chosen_problem,
 )
 from cvqmpt_lab.execution.execute import (
-    CONTACT_TIMES,
+    CONTACT_TIMES_S,
     Execution,
     Outcome,
     agreed,
@@ -64,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
         run_executed(make_folder(args.out), progress=ProgressBar(EXECUTED))
         print((args.out / TABLE).read_text(encoding="utf-8"), end="")
         return 0
-    times = CONTACT_TIMES if args.contact_time is None else (args.contact_time,)
+    times = CONTACT_TIMES_S if args.contact_time is None else (args.contact_time,)
     item = chosen_problem(args)
     executions = _task(args, item, times) if isinstance(item, Task) else _motion(args, item, times)
     outcome, why = agreed(executions)

@@ -18,7 +18,7 @@ from cvqmpt_lab.base.files import csv_table, read_text, write_text
 from cvqmpt_lab.benchmarks.suite import suite_named
 from cvqmpt_lab.certificate.motion_check import certified_motion
 from cvqmpt_lab.execution.execute import (
-    CONTACT_TIMES,
+    CONTACT_TIMES_S,
     Execution,
     Outcome,
     agreed,
@@ -96,7 +96,7 @@ def _rows(suite: str, index: int, speed: float, controllers: Sequence[str]) -> I
     item = suite_named(suite).solvable(index)
     run, why = _planned(item, speed)
     for controller in controllers:
-        found = [run(controller, time) for time in CONTACT_TIMES] if run else []
+        found = [run(controller, time) for time in CONTACT_TIMES_S] if run else []
         outcome, reason = agreed(found) if found else (Outcome.NOT_EXECUTED, why)
         yield Row(
             suite,
@@ -120,7 +120,10 @@ def _rows(suite: str, index: int, speed: float, controllers: Sequence[str]) -> I
 
 
 def _planned(item: Any, speed: float) -> tuple[Callable[[str, float], Execution] | None, str]:
-    """What executes a motion or task under a controller at a contact time; None, and why."""
+    """Plan a motion or task; return the function that executes it, or None and the reason.
+
+    The function takes the name of a controller and a contact time [s].
+    """
     timing = TimingSettings(speed=speed)
     if isinstance(item, Task):
         task = solve_task(item, PLANNER, BUDGET, SEED, timing, margin=Margin())

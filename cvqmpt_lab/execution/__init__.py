@@ -1,1 +1,1 @@
-"""Motions and tasks executed in a physics simulation (MuJoCo, extra `physics`)."""
+"""Execution of motions and tasks in a physics simulation (MuJoCo, extra `physics`)."""

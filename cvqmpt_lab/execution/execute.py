@@ -1,7 +1,7 @@
-"""Execute a motion or a task in simulation, and judge what came of it.
+"""Execute a motion or a task in simulation, and judge the result.
 
-A simulation is no arm: contacts depend on the solver's settings. So a verdict on contacts counts
-only if it is the same at two contact times, see `agreed`.
+Contacts in a simulation depend on the settings of its solver. An outcome therefore counts only if
+it is the same at two contact times, see `agreed`.
 """
 
 from collections.abc import Iterable, Iterator
@@ -15,8 +15,15 @@ from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.base.files import finite
 from cvqmpt_lab.certificate.certificate import TOLERANCE
 from cvqmpt_lab.constraints.report import displacements, excess
-from cvqmpt_lab.execution.mjcf import LOAD, Physics
-from cvqmpt_lab.execution.simulation import GRIP, OPEN, Contact, Controller, Sample, Simulation
+from cvqmpt_lab.execution.mjcf import LOAD_BODY, Physics
+from cvqmpt_lab.execution.simulation import (
+    GRIP_FORCE_N,
+    OPEN_FORCE_N,
+    Contact,
+    Controller,
+    Sample,
+    Simulation,
+)
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
@@ -27,15 +34,17 @@ from cvqmpt_lab.tasks.task import Grasp, HandPhase, Hold, Phase, Release
 from cvqmpt_lab.tasks.world import World
 from cvqmpt_lab.trajectory.trajectory import Trajectory
 
-CONTACT_TIMES = 0.004, 0.001  # [s] at which a verdict must be the same
-SETTLE = 0.3  # [s] before a motion and after it
-CLOSE = 0.4  # [s] for opening or closing the fingers
-PLACED = 0.03, 0.1  # [m], [rad] that an object may stand off where it was to be put down
-HELD = 0.05  # [m] in the hand by which a load has moved when it counts as lost
+CONTACT_TIMES_S = 0.004, 0.001  # an outcome must be the same at both
+SETTLING_TIME_S = 0.3  # standing still before and after a motion
 
 
 class Outcome(StrEnum):
-    """What became of a motion or task."""
+    """Outcome of executing a motion or task.
+
+    EXECUTED: at every contact time no fault was found, see `Execution.faults`. NOT_EXECUTED: at
+    every contact time the same pairs touched, and a fault was found. UNDECIDED: the contact times
+    disagree about contacts, faults or where the load ended. See `agreed`.
+    """
 
     EXECUTED = "executed as planned"
     NOT_EXECUTED = "not executed as planned"
@@ -44,28 +53,29 @@ class Outcome(StrEnum):
 
 @dataclass(frozen=True)
 class Execution:
-    """The result of executing a motion or task once."""
+    """Result of executing a motion or task once."""
 
-    name: str
-    controller: str
+    name: str  # of the problem or task
+    controller: str  # a name of `simulation.CONTROLLERS`
     contact_time: float  # [s]
-    seconds: float  # of simulated time
+    seconds: float  # simulated time [s]
     off_path_m: float  # largest distance of the hand from its planned path
-    off_rad: float  # largest difference of a joint from where it should be at the time [rad or m]
+    off_rad: float  # largest tracking error |q_d - q| of a joint [rad or m]
     outside_rad: float  # largest violation of a bound of rotation or tilt of positive width
-    outside_m: float  # likewise of position
-    tilt_rad: float  # largest absolute entry of rotation that has a bound; nan without one
-    contacts: tuple[Contact, ...]  # but for those at grasp and place
-    saturated_s: float  # time in which a motor gave its whole effort
-    scene: Scene  # at the beginning, the load in it
+    outside_m: float  # largest violation of a bound of position of positive width
+    tilt_rad: float  # largest absolute value of a bounded rotation; nan: none is bounded
+    contacts: tuple[Contact, ...]  # unwanted ones: grasping and placing are not among them
+    saturated_s: float  # time during which some joint was at its effort limit
+    scene: Scene  # at the beginning, with the load
     samples: tuple[Sample, ...]  # every 10 ms
     drift_m: float | None = None  # of the load in the hand; None: it is welded, or there is none
-    placed: bool | None = None  # whether it stands where it should; None: nothing is put down
-    placed_off_m: float | None = None  # distance from there
+    placed: bool | None = None  # whether the load ends at its place; None: it is not put down
+    placed_off_m: float | None = None  # distance of the load from its place
 
     @property
     def faults(self) -> list[str]:
-        """Why it was not executed as planned."""
+        """Reasons why it was not executed as planned; none: it was."""
+        lost_m = 0.05  # a load that has moved so far in the hand counts as lost
         found = [
             f"{contact.first} touches {contact.second}, {1e3 * contact.depth_m:.2g} mm deep, at "
             f"{contact.time_s:.2f} s"
@@ -75,7 +85,7 @@ class Execution:
             found.append(
                 f"the constraint is broken by {self.outside_rad:.2g} rad, {self.outside_m:.2g} m"
             )
-        if self.drift_m is not None and self.drift_m > HELD:
+        if self.drift_m is not None and self.drift_m > lost_m:
             found.append("the load left the hand")
         if self.placed is False:
             found.append(f"the load ends {1e3 * (self.placed_off_m or 0.0):.0f} mm from its place")
@@ -83,19 +93,19 @@ class Execution:
 
     @property
     def pairs(self) -> set[tuple[str, str]]:
-        """What touched."""
+        """Contact pairs: names of the bodies that touched."""
         return {(contact.first, contact.second) for contact in self.contacts}
 
     @property
     def data(self) -> dict[str, Any]:
-        """Plain data for json."""
+        """The result as plain data for json, without scene and samples."""
         left_out = "scene", "samples", "contacts"
         plain = {name: value for name, value in vars(self).items() if name not in left_out}
         return finite(plain | {"contacts": [contact._asdict() for contact in self.contacts]})
 
     @property
     def moments(self) -> Iterator[tuple[float, str, World]]:
-        """Time, phase and world every 0.1 s, to be shown."""
+        """Time [s], name of the phase and world every 0.1 s, for films."""
         for sample in self.samples[::10]:
             scene = self.scene
             for name, value in sample.doors.items():
@@ -111,7 +121,7 @@ class Execution:
 
 
 def agreed(executions: Iterable[Execution]) -> tuple[Outcome, str]:
-    """The outcome of the same execution at several contact times, and why."""
+    """Outcome of the same motion or task executed at several contact times, and the reason."""
     first, *others = executions
     for other in others:
         if first.pairs != other.pairs or first.placed != other.placed:
@@ -126,7 +136,7 @@ def agreed(executions: Iterable[Execution]) -> tuple[Outcome, str]:
 
 
 def require_simulated(problem: PlanningProblem) -> None:
-    """InvalidInputError where the simulation cannot hold what the problem's motion moves."""
+    """Refuse a problem in which the arm holds a door, or two hands hold one load."""
     if "articulated" in problem.robot.source:
         raise InvalidInputError("a motion that holds a door is executed as part of a task")
     for item in problem.attachments:
@@ -141,30 +151,32 @@ def execute_motion(
     problem: PlanningProblem,
     motion: Trajectory,
     controller: str,
-    contact_time: float = CONTACT_TIMES[0],
+    contact_time: float = CONTACT_TIMES_S[0],
     friction: bool = False,
 ) -> Execution:
     """Execute a certified motion.
 
     Args:
-        problem: that it solves.
-        motion: of its robot.
+        problem: the problem that the motion solves.
+        motion: trajectory of the problem's robot.
         controller: a name of `simulation.CONTROLLERS`.
-        contact_time: of the simulation [s].
-        friction: whether fingers hold the load, else it is welded to the hand.
+        contact_time: time constant of contacts in the simulation [s].
+        friction: whether the fingers hold the load by friction; else it is welded to the hand.
     """
     require_simulated(problem)
     if motion.joint_names != problem.robot.joint_names:
         raise InvalidInputError(
             f"the motion is of joints {', '.join(motion.joint_names)}, the problem's robot has "
-            f"{', '.join(problem.robot.joint_names)}"
+            f"{', '.join(problem.robot.joint_names)}: give a motion of this robot"
         )
     (load,) = problem.attachments or (None,)
     q = motion.positions[0]
     physics = Physics(contact_time, welded=load)
     if friction:
         if load is None:
-            raise InvalidInputError("--hold friction: the problem has nothing in the hand")
+            raise InvalidInputError(
+                "--hold friction: the problem has nothing in the hand; use --hold weld"
+            )
         T = problem.robot.pose(q) @ load.T_hand_object
         item = SceneObject(load.name, load.shape, T, mass=_mass(load))
         physics = Physics(contact_time, free=item)
@@ -176,14 +188,14 @@ def execute_motion(
         ends = problem.robot.poses(motion.positions[[0, -1]])
         world.rests = list((ends @ load.T_hand_object)[:, :3, 3])
     if friction:
-        world.allowed = _hand_pairs(problem.robot, [LOAD])
-        world.force = GRIP
-    world.hold(q, SETTLE)
+        world.allowed = _hand_pairs(problem.robot, [LOAD_BODY])
+        world.force = GRIP_FORCE_N
+    world.hold(q, SETTLING_TIME_S)
     before = _in_hand(world) if friction else np.eye(4)
     world.saturated, world.errors = 0, []
     world.follow(motion)
-    world.hold(motion.positions[-1], SETTLE)
-    moved = [sample for sample in world.samples if sample.time > SETTLE]
+    world.hold(motion.positions[-1], SETTLING_TIME_S)
+    moved = [sample for sample in world.samples if sample.time > SETTLING_TIME_S]
     found = _judged(problem.name, world, [(problem, motion, moved)])
     if friction:
         found = replace(found, drift_m=float(np.linalg.norm((_in_hand(world) - before)[:3, 3])))
@@ -191,11 +203,14 @@ def execute_motion(
 
 
 def execute_task(
-    solution: TaskSolution, controller: str, contact_time: float = CONTACT_TIMES[0]
+    solution: TaskSolution, controller: str, contact_time: float = CONTACT_TIMES_S[0]
 ) -> Execution:
-    """Execute a solved task: fingers hold what is grasped by friction, doors move by contact.
+    """Execute a solved task: fingers hold objects by friction, doors move by contact.
 
-    Args: as `execute_motion`.
+    Args:
+        solution: the solved task.
+        controller: a name of `simulation.CONTROLLERS`.
+        contact_time: time constant of contacts in the simulation [s].
     """
     if not solution.solved:
         raise InvalidInputError(f"task {solution.task.name} is not solved: {solution.failure}")
@@ -219,8 +234,9 @@ def execute_task(
             load.T_world_object[:3, 3],
             solution.world.scene[load.name].T_world_object[:3, 3],
         ]
-    world.hold(task.start, SETTLE)
-    q, parts, before, drift = task.start, [], None, None
+    world.hold(task.start, SETTLING_TIME_S)
+    q, parts = task.start, []
+    before, drift = None, None  # pose of the load in the hand when grasped [m]; its drift [m]
     for phase, outcome in solution.steps:
         world.phase = phase.name
         if outcome is None:
@@ -235,7 +251,7 @@ def execute_task(
         q = motion.positions[-1]
         world.hold(q, 0.1)
         parts.append((outcome.solution.problem, motion, world.samples[began:]))
-    world.hold(q, SETTLE)
+    world.hold(q, SETTLING_TIME_S)
     found = _judged(task.name, world, parts)
     if load is None or not isinstance(task.phases[-1], Release):
         return replace(found, drift_m=drift)
@@ -243,11 +259,12 @@ def execute_task(
     assert T is not None
     off = float(np.linalg.norm((T - there)[:2, 3]))
     lean = float(np.arccos(np.clip(T[:3, 2] @ there[:3, 2], -1.0, 1.0)))
-    placed = off < PLACED[0] and lean < PLACED[1]
+    placed = off < 0.03 and lean < 0.1  # [m], [rad]
     return replace(found, drift_m=drift, placed=placed, placed_off_m=off)
 
 
 def _mass(load: Attachment | SceneObject) -> float:
+    """Mass of a load [kg]; InvalidInputError if it has none."""
     if load.mass is None:
         raise InvalidInputError(f"{load.name!r} has no mass: state it in kg, 'mass' in its file")
     return load.mass
@@ -261,25 +278,25 @@ def _move_fingers(
     arm: Robot,
     load: SceneObject | None,
 ) -> None:
-    """Close or open the fingers; what they hold may touch the hand from then on."""
+    """Close or open the fingers in 0.4 s; from then on the held object may touch the hand."""
     closes = isinstance(phase, Hold | Grasp)
     if isinstance(phase, HandPhase):
         world.source = {**world.source, **phase.gripper}
-    world.force = GRIP if closes else OPEN
+    world.force = GRIP_FORCE_N if closes else OPEN_FORCE_N
     if isinstance(phase, Hold):
         held = scene.articulation(phase.articulation).moves
         world.allowed = _hand_pairs(arm, held)
     elif isinstance(phase, Grasp) and load is not None:
-        world.allowed = _hand_pairs(arm, [LOAD])
-        item = Attachment(LOAD, load.shape, _in_hand(world), load.mass)
+        world.allowed = _hand_pairs(arm, [LOAD_BODY])
+        item = Attachment(LOAD_BODY, load.shape, _in_hand(world), load.mass)
         world.controller.carry(loads_of([item]))
     else:
         world.controller.carry(())
-    world.hold(q, CLOSE)
+    world.hold(q, 0.4)
 
 
 def _hand_pairs(arm: Robot, held: Iterable[str]) -> set[frozenset[str]]:
-    """Pieces of the hand's link, fingers among them, with what is held."""
+    """Pairs of each piece of the hand's link, fingers included, with each held body."""
     row = arm.end_effector_link[0]
     hand = [piece.name for piece in arm.links if piece.link == row]
     return {frozenset((piece, name)) for piece in hand for name in held}
@@ -297,8 +314,12 @@ def _judged(
     world: Simulation,
     parts: list[tuple[PlanningProblem, Trajectory, list[Sample]]],
 ) -> Execution:
-    """What was observed, compared with the plans of the motions."""
-    off, tilt, outside = 0.0, np.nan, np.zeros(2)
+    """Compare the samples of each motion with its plan, and return the result.
+
+    parts: problem, planned motion and samples of each motion.
+    """
+    off, tilt = 0.0, np.nan
+    outside = np.zeros(2)  # [rad], [m]
     for problem, motion, samples in parts:
         executed = np.array([sample.q for sample in samples])
         planned = motion.sampled(0.01).positions
@@ -338,7 +359,7 @@ def _judged(
 
 
 def _off_polyline(points: np.ndarray, places: np.ndarray) -> float:
-    """Largest distance [m] of places (k, 3) from a polyline (m, 3)."""
+    """Largest distance [m] of points `places` (k, 3) from the polyline `points` (m, 3)."""
     steps = np.diff(points, axis=0)
     squares = np.maximum((steps**2).sum(axis=1), 1e-18)
     to = places[:, None] - points[:-1]

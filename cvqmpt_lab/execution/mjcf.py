@@ -1,11 +1,13 @@
 """A robot and a scene as MJCF, MuJoCo's file format.
 
-Planners of others read the geometry alone. With `Physics` the file also has masses, motors,
-fingers that move, doors as hinges and what is carried. Joint axes are those of `Robot.kinematics`
-as z; every convex piece of a link and every obstacle is a body. Lengths in metres.
+External planners read only the geometry. With `Physics` the file also has masses, motors, moving
+fingers, doors as hinges, and the load. Each joint turns about or slides along the z-axis of its
+body, as in `Robot.kinematics`. Every convex piece of a link and every obstacle is a body of its
+own. Lengths are in metres.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from enum import IntFlag
 from itertools import combinations
 from typing import NamedTuple
 from xml.etree.ElementTree import Element, SubElement, tostring
@@ -19,40 +21,48 @@ from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, Shape, Sphere
 
-HAND = "hand"
-LOAD = "load"  # name of the body that is carried
-# contact bits
-FIXED, DOOR, ROBOT, OBJECT = 1, 2, 4, 8
-ARMATURE, DAMPING = 0.1, 1.0  # of every joint of the arm, as in MuJoCo Menagerie's Panda
+HAND_SITE = "hand"  # name of the site at the end effector
+LOAD_BODY = "load"  # name of the carried body
+# of every joint of the arm, as in MuJoCo Menagerie's Panda: [kg m^2], [Nm s/rad]
+ARMATURE, DAMPING = 0.1, 1.0
+
+
+class ContactBit(IntFlag):
+    """Kinds of bodies in MuJoCo's contype and conaffinity."""
+
+    FIXED = 1
+    DOOR = 2
+    ROBOT = 4
+    LOAD = 8
 
 
 class Body(NamedTuple):
-    """A convex body, fixed to a link."""
+    """A convex body that is fixed to a link."""
 
     name: str
-    link: int  # pose row that carries it, 0: the world
+    link: int  # index of the link; 0: the world
     T_link_body: np.ndarray  # (4, 4)
     shape: Shape
 
 
 class Physics(NamedTuple):
-    """What a simulation has beyond the geometry."""
+    """Properties of a simulation beyond the geometry."""
 
     contact_time: float  # time constant of contacts, MuJoCo's solref [s]
-    # sliding joints of the gripper, each with the one that it follows, or ""
+    # sliding joints of the gripper, each with the joint that it follows, or ""
     fingers: Mapping[str, str] = {}
-    doors: tuple[str, ...] = ()  # articulations of the scene that move
+    doors: tuple[str, ...] = ()  # articulations of the scene that can move
     welded: Attachment | None = None  # load that is fixed to the hand
     free: SceneObject | None = None  # load that moves freely; it has a mass
 
     @property
     def step(self) -> float:
-        """The time step [s]: at most half of the contact time, 1 ms divided by a whole number."""
+        """Time step [s]: 1 ms divided by an integer, about half of the contact time or less."""
         return 1e-3 / max(1, round(2e-3 / self.contact_time))
 
 
 def bodies_of(robot: Robot, scene: Scene, carried: Sequence[Attachment] = ()) -> list[Body]:
-    """The robot's pieces in the order of `Robot.links`, the obstacles, then what is carried.
+    """Bodies of the robot's pieces in the order of `Robot.links`, of obstacles and of loads.
 
     Raises InvalidInputError for an obstacle or a load that is no convex solid.
     """
@@ -74,21 +84,27 @@ def bodies_of(robot: Robot, scene: Scene, carried: Sequence[Attachment] = ()) ->
     ]
     for k, load in enumerate(carried):
         row, T_link_hand = robot.hand(load.end_effector)
-        found.append(Body(f"{LOAD}_{k}", row, T_link_hand @ load.T_hand_object, load.shape))
+        found.append(Body(f"{LOAD_BODY}_{k}", row, T_link_hand @ load.T_hand_object, load.shape))
     return found
 
 
 def unchecked_pairs(robot: Robot, carried: Sequence[Attachment] = ()) -> Iterator[tuple[str, str]]:
-    """Pairs of robot and what it carries that are not checked against each other, by name."""
+    """Names of the pairs of robot pieces and loads that are not checked for collision."""
     pieces = [f"piece_{k}" for k in range(len(robot.links))]
-    loads = [f"{LOAD}_{k}" for k in range(len(carried))]
+    loads = [f"{LOAD_BODY}_{k}" for k in range(len(carried))]
     checked = {frozenset((pieces[i], pieces[k])) for i, k in robot.self_collision_pairs}
     checked |= {frozenset((pieces[i], loads[k])) for i, k in carried_pairs(robot, carried)}
     return (pair for pair in combinations(pieces + loads, 2) if frozenset(pair) not in checked)
 
 
 def mjcf_of(robot: Robot, scene: Scene, physics: Physics | None = None) -> str:
-    """MJCF of robot and obstacles as text; the hand is a site."""
+    """MJCF text of robot and obstacles, and of the load if `physics` has one; the hand is a site.
+
+    Args:
+        robot: the robot.
+        scene: the scene; its obstacles become bodies.
+        physics: masses, motors, doors and load; None: only the geometry.
+    """
     root = Element("mujoco", model="arm")
     SubElement(root, "compiler", angle="radian", autolimits="true", balanceinertia="true")
     assets = SubElement(root, "asset")
@@ -106,26 +122,26 @@ def mjcf_of(robot: Robot, scene: Scene, physics: Physics | None = None) -> str:
             _add_dynamics(joint, link, bodies[j], name in physics.fingers)
         links.append(link)
     carriers = _with_doors(world, scene, physics) if physics else {}
-    of_door = {
+    door_of = {  # by name of an obstacle that moves with a door
         item: name
         for name in (physics.doors if physics else ())
         for item in scene.articulation(name).moves
     }
     pieces = len(robot.links)
     for k, body in enumerate(bodies_of(robot, scene)):
-        bits, parent, T = (ROBOT, FIXED | DOOR | ROBOT), links[body.link], body.T_link_body
-        if k >= pieces:
-            bits, door = (FIXED, 0), of_door.get(scene.obstacles[k - pieces].name)
-            if door is not None:
-                bits, parent = (DOOR, 0), carriers[door]
-                T = np.linalg.inv(scene.articulation(door).T_world_joint) @ T
+        parent, T = links[body.link], body.T_link_body
+        bit = ContactBit.ROBOT if k < pieces else ContactBit.FIXED
+        door = door_of.get(scene.obstacles[k - pieces].name) if k >= pieces else None
+        if door is not None:
+            bit, parent = ContactBit.DOOR, carriers[door]
+            T = np.linalg.inv(scene.articulation(door).T_world_joint) @ T
         part = _placed(parent, body.name, T[:3, :3], T[:3, 3])
         geom = _add_shape(part, assets, body)
         if physics is not None:
-            # of wood [kg/m^3]
-            _touching(geom, bits, density=600.0 if bits[0] == DOOR else 0.0)
+            density = 600.0 if bit is ContactBit.DOOR else 0.0  # of wood [kg/m^3]
+            _touching(geom, bit, density=density)
     row, T_link_hand = robot.end_effector_link
-    _placed(links[row], HAND, T_link_hand[:3, :3], T_link_hand[:3, 3], "site")
+    _placed(links[row], HAND_SITE, T_link_hand[:3, :3], T_link_hand[:3, 3], "site")
     contact = SubElement(root, "contact")
     for first, second in unchecked_pairs(robot):
         SubElement(contact, "exclude", body1=first, body2=second)
@@ -135,7 +151,7 @@ def mjcf_of(robot: Robot, scene: Scene, physics: Physics | None = None) -> str:
             _add_load(links[row], assets, physics.welded, T)
         if physics.free is not None:
             part = _add_load(world, assets, physics.free, physics.free.T_world_object)
-            SubElement(part, "freejoint", name=LOAD)
+            SubElement(part, "freejoint", name=LOAD_BODY)
         _add_motors(root, robot, physics)
     return tostring(root, encoding="unicode")
 
@@ -143,7 +159,12 @@ def mjcf_of(robot: Robot, scene: Scene, physics: Physics | None = None) -> str:
 def _add_dynamics(
     joint: Element, link: Element, body: tuple[float, np.ndarray, np.ndarray], finger: bool
 ) -> None:
-    """Rotor, damping and mass; light fingers would give way by centimetres without a rotor."""
+    """Add the rotor's inertia, damping and the link's mass.
+
+    Fingers get a heavy rotor: without one they are so light that they give way by centimetres.
+
+    body: mass [kg], centre of mass (3,) [m] and inertia (3, 3) [kg m^2].
+    """
     rotor = (1.0, 250.0) if finger else (ARMATURE, DAMPING)
     joint.set("armature", repr(rotor[0]))
     joint.set("damping", repr(rotor[1]))
@@ -155,7 +176,10 @@ def _add_dynamics(
 
 
 def _with_doors(world: Element, scene: Scene, physics: Physics) -> dict[str, Element]:
-    """Bodies of doors and drawers, by name, that move from where they stand in the scene."""
+    """Add a body with a joint for each door or drawer that moves, and return them by name.
+
+    The joint value is 0 where the door stands in the scene.
+    """
     found = {}
     for name in physics.doors:
         door = scene.articulation(name)
@@ -168,7 +192,7 @@ def _with_doors(world: Element, scene: Scene, physics: Physics) -> dict[str, Ele
             type="hinge" if door.kind == "hinge" else "slide",
             axis="0 0 1",
             range=numbers_text(np.array([door.lower, door.upper]) - door.value),
-            # of a door [Nms/rad, Nm]
+            # of a door [Nm s/rad], [Nm], [kg m^2]
             damping="0.5",
             frictionloss="0.3",
             armature="0.01",
@@ -179,26 +203,33 @@ def _with_doors(world: Element, scene: Scene, physics: Physics) -> dict[str, Ele
 def _add_load(
     parent: Element, assets: Element, load: SceneObject | Attachment, T: np.ndarray
 ) -> Element:
-    part = _placed(parent, LOAD, T[:3, :3], T[:3, 3])
-    geom = _add_shape(part, assets, Body(LOAD, 0, T, load.shape))
-    _touching(geom, (OBJECT, FIXED | DOOR | ROBOT), mass=load.mass or 0.0)
+    """Add the body of a load at pose T (4, 4) [m] in its parent."""
+    part = _placed(parent, LOAD_BODY, T[:3, :3], T[:3, 3])
+    geom = _add_shape(part, assets, Body(LOAD_BODY, 0, T, load.shape))
+    _touching(geom, ContactBit.LOAD, mass=load.mass or 0.0)
     return part
 
 
-def _touching(geom: Element, bits: tuple[int, int], **weight: float) -> None:
-    """Which geoms it touches, friction and weight."""
+def _touching(geom: Element, kind: ContactBit, **weight: float) -> None:
+    """Set the kinds of bodies that a geom can touch, its friction, and its mass or density.
+
+    Robot and load touch the robot, doors and fixed bodies; fixed bodies and doors do not touch each
+    other.
+    """
     rubber = "0.8 0.005 0.0001"  # sliding, torsional and rolling friction of pads
-    values = {"contype": bits[0], "conaffinity": bits[1], "condim": 4, "friction": rubber}
+    moves = kind in (ContactBit.ROBOT, ContactBit.LOAD)
+    touched = ContactBit.FIXED | ContactBit.DOOR | ContactBit.ROBOT if moves else ContactBit(0)
+    values = {"contype": kind, "conaffinity": touched, "condim": 4, "friction": rubber}
     for name, value in {**values, **weight}.items():
         geom.set(name, str(value))
 
 
 def _add_motors(root: Element, robot: Robot, physics: Physics) -> None:
-    """Time step, motors of all joints, and joints of the gripper that follow another one."""
+    """Add the time step, motors of all joints, and the coupling of fingers that follow another."""
     option = SubElement(
         root, "option", timestep=repr(physics.step), integrator="implicitfast", cone="elliptic"
     )
-    # of an elliptic cone: friction is stiffer than the normal force, so little creeps
+    # friction stiffer than the normal force, so that held objects hardly creep
     option.set("impratio", "20")
     SubElement(option, "flag", multiccd="enable")
     usual = SubElement(SubElement(root, "default"), "geom")
@@ -219,7 +250,7 @@ def _add_motors(root: Element, robot: Robot, physics: Physics) -> None:
 
 
 def numbers_text(values: np.ndarray) -> str:
-    """Numbers as attributes of XML state them, to the last bit."""
+    """Text of numbers for an XML attribute, exact to the last bit."""
     return " ".join(repr(float(value)) for value in values)
 
 
@@ -230,6 +261,7 @@ def _placed(
     translation: np.ndarray,
     tag: str = "body",
 ) -> Element:
+    """Add an element with a name, a rotation (3, 3) and a translation (3,) [m]."""
     from scipy.spatial.transform import Rotation  # takes 0.3 s to import
 
     x, y, z, w = Rotation.from_matrix(rotation).as_quat()
@@ -238,6 +270,7 @@ def _placed(
 
 
 def _add_shape(part: Element, assets: Element, body: Body) -> Element:
+    """Add a geom with the shape of a body."""
     name = f"{body.name}_geom"
     match body.shape:
         case Box(size):

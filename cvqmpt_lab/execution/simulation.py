@@ -1,7 +1,7 @@
-"""A robot in a scene in MuJoCo, moved by a controller at 1 kHz, and what is observed meanwhile.
+"""A robot in a scene in MuJoCo: moved by a controller at 1 kHz, with contacts and states recorded.
 
-Gains are the same for any arm: a joint gives its whole effort limit at an error of 1 / STIFFNESS.
-Every controller is limited by the arm's effort limits.
+The gains are relative to the effort limits and the same for all arms: at an error of 1 / STIFFNESS
+a joint applies its full effort limit. Every controller keeps the arm's effort limits.
 """
 
 from collections.abc import Mapping, Sequence
@@ -12,7 +12,7 @@ import numpy as np
 
 from cvqmpt_lab.base.errors import InvalidInputError, require_choice, require_installed
 from cvqmpt_lab.base.poses import rigid
-from cvqmpt_lab.execution.mjcf import ARMATURE, DAMPING, HAND, LOAD, Physics, mjcf_of
+from cvqmpt_lab.execution.mjcf import ARMATURE, DAMPING, HAND_SITE, LOAD_BODY, Physics, mjcf_of
 from cvqmpt_lab.robot.dynamics import Dynamics, Load, without_effort_limit
 from cvqmpt_lab.robot.load import with_gripper
 from cvqmpt_lab.robot.robot import Robot
@@ -21,9 +21,9 @@ from cvqmpt_lab.robot.urdf import read_urdf
 from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.trajectory.trajectory import JointState, Trajectory
 
-PERIOD = 1e-3  # [s] of control
+CONTROL_PERIOD_S = 1e-3
 # [1/rad], [s]: Kp = STIFFNESS x effort limit, 3000 Nm/rad at the Panda's shoulder as in libfranka's
-# setDefaultBehavior; Kd = TIME_CONSTANT Kp damps joints of 0.1 to 3 kg m^2 by 0.5 to 1.2
+# setDefaultBehavior; Kd = TIME_CONSTANT Kp, a damping ratio of 0.5 to 1.2 at 0.1 to 3 kg m^2
 STIFFNESS, TIME_CONSTANT = 35.0, 0.04
 CONTROLLERS = {
     "computed-torque": "tau = RNEA(q_d, q_d', q_d'') + Kp (q_d - q) + Kd (q_d' - q'); masses of "
@@ -31,13 +31,19 @@ CONTROLLERS = {
     "computed-torque-unknown-load": "the same, but load, rotors and damping are not known",
     "position-servo": "tau = g(q) + Kp (q_d - q) - Kd q', stiffer; the load is not known",
 }
+GRIP_FORCE_N, OPEN_FORCE_N = -50.0, 30.0  # on each finger
 
 
 class Controller:
     """A controller by its name in `CONTROLLERS`."""
 
     def __init__(self, name: str, robot: Robot) -> None:
-        """robot: the arm with its gripper closed; InvalidInputError where efforts are not known."""
+        """Make a controller; InvalidInputError if the robot has no effort limits or masses.
+
+        Args:
+            name: a key of `CONTROLLERS`.
+            robot: the arm with its gripper held.
+        """
         require_choice("controller", name, CONTROLLERS)
         if why := without_effort_limit(robot):
             raise InvalidInputError(
@@ -48,18 +54,18 @@ class Controller:
         self.carry(())
 
     def carry(self, loads: Sequence[Load]) -> None:
-        """Take up loads, or put them down."""
+        """Set the loads that the arm carries from now on."""
         known = loads if self.name == "computed-torque" else ()
         dynamics = Dynamics.of(self.robot, known)
         assert dynamics is not None
         self._dynamics = dynamics
 
     def efforts(self, wanted: JointState, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """Efforts (n,) [Nm or N] at q and q' (n,), within the limits."""
+        """Efforts (n,) [Nm or N] at positions q and velocities v (n,), within the limits."""
         off = wanted.positions - q
         if self.name == "position-servo":
             gravity = self._dynamics.gravity(q[None])[0]
-            # as in MuJoCo Menagerie's Panda
+            # gains of MuJoCo Menagerie's Panda
             tau = gravity + 50.0 * self.limits * (off - 0.1 * v)
         else:
             Kp = STIFFNESS * self.limits
@@ -70,32 +76,28 @@ class Controller:
         return np.clip(tau, -self.limits, self.limits)
 
 
-GRIP, OPEN = -50.0, 30.0  # force that closes and opens each finger [N]
-EVERY = 10  # periods between two states that are kept
-
-
 class Contact(NamedTuple):
-    """Two bodies that touched where they should not."""
+    """An unwanted contact of two bodies."""
 
     first: str
     second: str
-    depth_m: float  # largest, at `time_s`
-    time_s: float
+    depth_m: float  # largest penetration depth
+    time_s: float  # time of that depth
 
 
 class Sample(NamedTuple):
-    """A moment of an execution."""
+    """State at one time of an execution."""
 
     time: float  # [s]
-    phase: str
-    source: Mapping[str, Any]  # of the arm, with its gripper as it was told to be
-    q: np.ndarray  # (n,) of the arm
-    doors: dict[str, float]  # values of the articulations
-    T_world_load: np.ndarray | None  # (4, 4)
+    phase: str  # name of the problem or phase
+    source: Mapping[str, Any]  # of the arm, with the commanded gripper opening
+    q: np.ndarray  # (n,) of the arm [rad or m]
+    doors: dict[str, float]  # values of the articulations [rad or m]
+    T_world_load: np.ndarray | None  # (4, 4) [m]; None: there is no load
 
 
 def mujoco_module() -> Any:
-    """MuJoCo; InvalidInputError where it is not installed."""
+    """Import MuJoCo; InvalidInputError if it is not installed."""
     require_installed("mujoco", "executing", "physics")
     import mujoco
 
@@ -103,13 +105,13 @@ def mujoco_module() -> Any:
 
 
 class Simulation:
-    """A robot in a scene; see `Physics` for what else there is.
+    """Simulation of a robot in a scene, with the doors and the load of `Physics`.
 
     Args:
-        arm: with its gripper held.
-        scene: at the beginning, without the load.
-        q: (n,) where the arm stands at the beginning.
-        controller: of the arm.
+        arm: the arm with its gripper held.
+        scene: the scene at the beginning, without the load.
+        q: configuration (n,) of the arm at the beginning [rad or m].
+        controller: controller of the arm.
         physics: contact time, doors and load.
         gripper: whether the fingers move; else they stay where the arm's source holds them.
     """
@@ -139,18 +141,18 @@ class Simulation:
         self._fingers = np.array([model.actuator(name).id for name in physics.fingers], dtype=int)
         labels = {f"piece_{k}_geom": piece.name for k, piece in enumerate(robot.links)}
         labels |= {f"obstacle_{k}_geom": item.name for k, item in enumerate(scene.obstacles)}
-        self.names = [labels.get(model.geom(k).name, LOAD) for k in range(model.ngeom)]
+        self.names = [labels.get(model.geom(k).name, LOAD_BODY) for k in range(model.ngeom)]
         data.qpos[self._q] = q
         held = {joint.name: joint.value for joint in arm.held_joints}
         for name in physics.fingers:
             data.qpos[model.joint(name).qposadr[0]] = held[name]
         self.mujoco.mj_forward(model, data)
-        self.force = OPEN  # of each finger [N]
+        self.force = OPEN_FORCE_N  # of each finger [N]
         self.phase, self.source = "", arm.source
         self.samples: list[Sample] = []
         self.touched: dict[tuple[str, str], Contact] = {}
         self.allowed: set[frozenset[str]] = set()  # pairs of names that may touch
-        # (3,) places where the load may touch what it stands on
+        # positions (3,) [m] of the load where it may touch what it stands on
         self.rests: list[np.ndarray] = []
         self.errors: list[float] = []  # largest |q_d - q| of each period [rad or m]
         self.saturated = 0  # periods in which an effort limit was reached
@@ -163,21 +165,21 @@ class Simulation:
 
     @property
     def T_world_hand(self) -> np.ndarray:
-        """Pose (4, 4) of the hand."""
-        site = self.data.site(HAND)
+        """Pose (4, 4) [m] of the hand."""
+        site = self.data.site(HAND_SITE)
         return rigid(site.xmat.reshape(3, 3), site.xpos)
 
     @property
     def T_world_load(self) -> np.ndarray | None:
-        """Pose (4, 4) of the load."""
+        """Pose (4, 4) [m] of the load; None: there is no load."""
         if self.physics.free is None and self.physics.welded is None:
             return None
-        body = self.data.body(LOAD)
+        body = self.data.body(LOAD_BODY)
         return rigid(body.xmat.reshape(3, 3), body.xpos)
 
     @property
     def doors(self) -> dict[str, float]:
-        """Values of the articulations that move."""
+        """Values of the articulations that can move [rad or m]."""
         return {
             name: self.scene.articulation(name).value + float(self.data.joint(name).qpos[0])
             for name in self.physics.doors
@@ -185,38 +187,40 @@ class Simulation:
 
     def follow(self, motion: Trajectory) -> None:
         """Execute a motion of the arm."""
-        times = np.arange(0.0, motion.duration + PERIOD, PERIOD)
+        times = np.arange(0.0, motion.duration + CONTROL_PERIOD_S, CONTROL_PERIOD_S)
         for state in zip(*motion.at(times), strict=True):
             self._step(JointState(*state))
 
     def hold(self, q: np.ndarray, seconds: float) -> None:
-        """Stay at q (n,)."""
+        """Stay at q (n,) [rad or m]."""
         still = np.zeros_like(q)
-        for _ in range(round(seconds / PERIOD)):
+        for _ in range(round(seconds / CONTROL_PERIOD_S)):
             self._step(JointState(q, still, still))
 
     def _step(self, wanted: JointState) -> None:
+        """Simulate one control period; record contacts, and every tenth period the state."""
         data = self.data
         tau = self.controller.efforts(wanted, data.qpos[self._q], data.qvel[self._v])
         self.saturated += bool((np.abs(tau) >= self.controller.limits).any())
         data.ctrl[self._motors] = tau
         data.ctrl[self._fingers] = self.force
-        self.mujoco.mj_step(self.model, data, nstep=round(PERIOD / self.physics.step))
+        self.mujoco.mj_step(self.model, data, nstep=round(CONTROL_PERIOD_S / self.physics.step))
         self.errors.append(float(np.abs(data.qpos[self._q] - wanted.positions).max()))
         for (first, second), depth in zip(data.contact.geom, -data.contact.dist, strict=True):
             self._touch(self.names[first], self.names[second], float(depth))
-        if self._periods % EVERY == 0:
+        if self._periods % 10 == 0:
             self.samples.append(
                 Sample(data.time, self.phase, self.source, self.q, self.doors, self.T_world_load)
             )
         self._periods += 1
 
     def _touch(self, first: str, second: str, depth: float) -> None:
+        """Record a contact of a penetration depth [m] unless the two bodies may touch."""
         if depth < 0.0 or frozenset((first, second)) in self.allowed:
             return
-        if LOAD in (first, second):
-            place = self.data.body(LOAD).xpos
-            # [m] from where it is grasped or put down it may touch what it stands on
+        if LOAD_BODY in (first, second):
+            place = self.data.body(LOAD_BODY).xpos
+            # within 0.02 m of where it is grasped or put down
             if any(np.linalg.norm(place - rest) < 0.02 for rest in self.rests):
                 return
         pair = min(first, second), max(first, second)
@@ -225,9 +229,10 @@ class Simulation:
 
 
 def _fingers(arm: Robot, robot: Robot) -> Mapping[str, str]:
-    """Joints of the gripper, each with the one that it follows; refused if one turns."""
+    """Joints of the gripper, each with the joint that it follows, or ""; refuses hinges."""
     names = [name for name in robot.joint_names if name not in arm.joint_names]
-    turning = [n for n in names if not robot.kinematics.prismatic[robot.joint_names.index(n)]]
+    slides = robot.kinematics.prismatic
+    turning = [name for name in names if not slides[robot.joint_names.index(name)]]
     if turning or not names:
         what = f"turns {', '.join(turning)}" if turning else "has no fingers that its source locks"
         raise InvalidInputError(

@@ -35,9 +35,9 @@ def _imported(module: str) -> ModuleType:
 
 
 def _with_libraries(attempt: Callable[[], Any], library: str = "") -> Any:
-    """What an attempt returns, once the libraries that it misses are loaded, those they need first.
+    """Call `attempt`; load the shared libraries that it misses, with their own ones, and retry.
 
-    library: the one that the attempt loads; it cannot be loaded before itself.
+    library: the library that `attempt` loads, which must not be loaded again here.
     """
     parents = Path(str(pin.__file__)).resolve().parents
     folder = next(one for one in parents if (one / "libpinocchio_default.so").is_file())

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from cvqmpt_lab.execution.mjcf import HAND, mjcf_of
+from cvqmpt_lab.execution.mjcf import HAND_SITE, mjcf_of
 from cvqmpt_lab.experiments.peers import rpy_box, upright_region, versions
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot
@@ -33,7 +33,7 @@ def _world(robot: Robot, scene: Scene) -> tuple[Any, Any, Any]:
         path = Path(folder) / "world.xml"
         path.write_text(text)
         model = mujoco.MjModel.from_xml_string(text)
-        arm = sscbirrt.Arm(model, list(robot.joint_names), HAND, mjcf=path)
+        arm = sscbirrt.Arm(model, list(robot.joint_names), HAND_SITE, mjcf=path)
     return model, mujoco.MjData(model), arm
 
 

@@ -1,4 +1,4 @@
-"""Motions and tasks in simulation: the simulated arm is the robot's, and faults are found."""
+"""Motions and tasks in simulation: the model equals the robot's, and faults are found."""
 
 import json
 from dataclasses import replace
@@ -13,7 +13,7 @@ from cvqmpt_lab.benchmarks.suite import suite_named
 from cvqmpt_lab.certificate.motion_check import certified_motion
 from cvqmpt_lab.execution import execute
 from cvqmpt_lab.execution.execute import Outcome, agreed, execute_motion, execute_task
-from cvqmpt_lab.execution.mjcf import ARMATURE, HAND, Physics, mjcf_of
+from cvqmpt_lab.execution.mjcf import ARMATURE, HAND_SITE, Physics, mjcf_of
 from cvqmpt_lab.execution.simulation import Controller
 from cvqmpt_lab.experiments.executed import FILE, read_rows, run_executed
 from cvqmpt_lab.planning.margins import Margin, solve_with_margin
@@ -28,7 +28,7 @@ FINGERS = {"panda_finger_joint1": "", "panda_finger_joint2": "panda_finger_joint
 
 @pytest.fixture(scope="module")
 def carrying():
-    """A problem that carries the can, and its certified motion."""
+    """A problem in which the arm carries the can, and a certified motion."""
     problem = suite_named("place-task-with-can").solvable(3)
     found, _ = solve_with_margin(problem, "birrt", Budget(iterations=40_000), 0, Margin())
     return problem, certified_motion(found.problem, found.path)
@@ -43,15 +43,15 @@ def test_the_simulated_arm_has_the_kinematics_and_inertia_of_the_robot(name):
         data.qpos[:] = q
         mujoco.mj_forward(model, data)
         T = robot.pose(q)
-        assert np.allclose(data.site(HAND).xpos, T[:3, 3], atol=1e-9)
-        assert np.allclose(data.site(HAND).xmat.reshape(3, 3), T[:3, :3], atol=1e-9)
+        assert np.allclose(data.site(HAND_SITE).xpos, T[:3, 3], atol=1e-9)
+        assert np.allclose(data.site(HAND_SITE).xmat.reshape(3, 3), T[:3, :3], atol=1e-9)
         for row, one in zip(M, np.eye(robot.dof), strict=True):
             mujoco.mj_mulM(model, data, row, one)
         mass = pin.crba(robot.model, robot.model.createData(), q)
         assert np.allclose(M - ARMATURE * np.eye(robot.dof), mass, atol=1e-6)
 
 
-def test_fingers_that_move_weigh_what_they_weighed_on_the_hand(panda):
+def test_moving_fingers_have_the_mass_that_they_have_when_held(panda):
     robot = with_gripper(panda)
     text = mjcf_of(robot, Scene("none", ()), Physics(0.004, fingers=FINGERS))
     model = mujoco.MjModel.from_xml_string(text)
@@ -81,7 +81,7 @@ def test_a_box_in_the_way_is_touched_and_named(carrying):
 def test_fingers_hold_the_can_and_lose_it_without_force(carrying, monkeypatch):
     held = execute_motion(*carrying, "computed-torque", 0.001, friction=True)
     assert held.drift_m < 0.005
-    monkeypatch.setattr(execute, "GRIP", 0.0)
+    monkeypatch.setattr(execute, "GRIP_FORCE_N", 0.0)
     lost = execute_motion(*carrying, "computed-torque", 0.001, friction=True)
     assert "the load left the hand" in lost.faults
 
@@ -100,14 +100,14 @@ def test_a_task_is_executed_by_contact_alone(task_solution, monkeypatch):
     found = execute_task(task_solution, "computed-torque")
     assert found.placed and not found.faults
     ends = found.samples[-1].doors
-    assert ends["dagger_door_left"] < -1.3  # opened by the fingers, nothing else moves it
+    assert ends["dagger_door_left"] < -1.3  # only the fingers can have opened it
     # without force the fingers open no door
-    monkeypatch.setattr(execute, "GRIP", 0.0)
+    monkeypatch.setattr(execute, "GRIP_FORCE_N", 0.0)
     lost = execute_task(task_solution, "computed-torque")
     assert lost.samples[-1].doors["dagger_door_left"] > -0.5 and lost.placed is False
 
 
-def test_what_cannot_be_executed_is_refused(carrying, panda, task):
+def test_motions_that_cannot_be_executed_are_refused(carrying, panda, task):
     problem, motion = carrying
     massless = replace(panda, model=panda.model.copy())
     for k in range(1, 8):
