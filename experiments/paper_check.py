@@ -90,7 +90,7 @@ def _obstacles(bullet: Any, obstacles: tuple[SceneObject, ...]) -> int:
     shapes, poses = [], []
     for item in obstacles:
         if isinstance(item.shape, Box):
-            half = [0.5 * edge for edge in item.shape.size]
+            half = item.shape.half.tolist()
             shapes.append(bullet.createCollisionShape(bullet.GEOM_BOX, halfExtents=half))
         else:
             assert isinstance(item.shape, Cylinder)

@@ -11,7 +11,7 @@ from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.base.poses import rigid
 from cvqmpt_lab.base.values import FULL_TURN_RAD
 from cvqmpt_lab.constraints.task_space_region import Axis
-from cvqmpt_lab.robot.hulls import convex_hull
+from cvqmpt_lab.robot.hulls import coal_hull
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.robot.source import FINGER_OPENING, read_source
@@ -123,7 +123,7 @@ def _gaps(pieces: Mapping[str, np.ndarray], box: Box, T_hand_box: np.ndarray) ->
     """Distance of each piece of the hand to a box [m]."""
     shape = coal_shape(box)
     return {
-        name: shape_distance(convex_hull(corners), np.eye(4), shape, T_hand_box)
+        name: shape_distance(coal_hull(corners), np.eye(4), shape, T_hand_box)
         for name, corners in pieces.items()
     }
 

@@ -3,20 +3,19 @@
 A robot's are kept in the user's cache: cutting its hulls into pieces takes a quarter of a second.
 """
 
-from collections.abc import Callable, Mapping
 from functools import lru_cache
-from typing import Any
+from pathlib import Path
 
 import numpy as np
 
-from cvqmpt_lab.base.caches import cached_arrays
+from cvqmpt_lab.base.caches import cached_arrays, sources_digest
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.base.jit import SOURCES
 from cvqmpt_lab.base.values import frozen
+from cvqmpt_lab.collision import geometry
 from cvqmpt_lab.collision.carried import carried_pairs, reach_with
-from cvqmpt_lab.collision.covers import ANY_RADIUS, Cloud
+from cvqmpt_lab.collision.covers import PIECE_RADIUS_M, Cloud
 from cvqmpt_lab.collision.geometry import (
-    CELL,
     RobotGeometry,
     SceneGeometry,
     ShapeSpec,
@@ -25,6 +24,7 @@ from cvqmpt_lab.collision.geometry import (
     scene_geometry,
 )
 from cvqmpt_lab.collision.separation import BOX, CYLINDER, HULL, SPHERE, ConvexShapes
+from cvqmpt_lab.geometry import convex
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.cells import blocks_of
 from cvqmpt_lab.scene.scene import Attachment, Scene
@@ -33,12 +33,14 @@ from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, Measured, Shape, 
 
 @lru_cache(maxsize=8)
 def robot_arrays(robot: Robot, attachments: tuple[Attachment, ...] = ()) -> RobotGeometry:
-    """Convex pieces of robot and attachments, kept in the user's cache.
+    """Convex pieces of a robot and its attachments, kept in the user's cache.
 
-    InvalidInputError before cutting ones too large.
+    Raises InvalidInputError for shapes that are too large to cut.
     """
     reach_with(robot, attachments)
-    specs = [ShapeSpec(HULL, (), piece.vertices, piece.T_link_geometry) for piece in robot.links]
+    specs = [
+        ShapeSpec(HULL, piece.T_link_geometry, vertices=piece.vertices) for piece in robot.links
+    ]
     for spec, piece in zip(specs, robot.links, strict=True):
         _require_few_pieces(f"link geometry {piece.name!r}", spec)
     links = [piece.link for piece in robot.links]
@@ -53,10 +55,11 @@ def robot_arrays(robot: Robot, attachments: tuple[Attachment, ...] = ()) -> Robo
         links.extend([hand] * len(carried))
     pairs = [(i, row) for i, k in carried_pairs(robot, attachments) for row in rows[k]]
     pairs = [*robot.self_collision_pairs, *pairs]
-    made_of = [f"{SOURCES} {links} {pairs}".encode()]
+    sources = sources_digest(Path(geometry.__file__), Path(convex.__file__))
+    made_of = [f"{SOURCES} {sources} {links} {pairs}".encode()]
     for spec in specs:
-        made_of.append(f"{spec.kind} {spec.size} {spec.inflation} {spec.vertices.shape}".encode())
-        made_of += (spec.vertices.tobytes(), spec.T_owner_shape.tobytes())
+        made_of.append(f"{spec.kind} {spec.inflation} {spec.vertices.shape}".encode())
+        made_of += (spec.half.tobytes(), spec.vertices.tobytes(), spec.T_owner_shape.tobytes())
 
     def arrays() -> dict[str, np.ndarray]:
         made = robot_geometry(specs, links, pairs)._asdict()
@@ -68,11 +71,12 @@ def robot_arrays(robot: Robot, attachments: tuple[Attachment, ...] = ()) -> Robo
 
 
 def _require_few_pieces(name: str, spec: ShapeSpec, most: int = 2000) -> None:
-    """InvalidInputError for a shape that would be cut into more than `most` pieces."""
-    points, _ = outline(spec._replace(T_owner_shape=np.eye(4)))
-    size = np.ptp(points, axis=0)
-    # 2000 pieces are a cube of 1.2 m; cutting more takes seconds, and soon minutes
-    if spec.kind != SPHERE and np.prod(np.maximum(size / ANY_RADIUS, 1.0)) > most:
+    """Refuse a shape that would be cut into more than `most` pieces.
+
+    2000 pieces are a cube of 1.2 m; cutting more takes seconds, and soon minutes.
+    """
+    size = np.ptp(outline(spec._replace(T_owner_shape=np.eye(4))), axis=0)
+    if spec.kind != SPHERE and np.prod(np.maximum(size / PIECE_RADIUS_M, 1.0)) > most:
         raise InvalidInputError(
             f"{name} is {size[0]:.3g} x {size[1]:.3g} x {size[2]:.3g} m large, too large to plan "
             "with: give sizes in metres"
@@ -97,15 +101,20 @@ def robot_swing(robot: Robot, attachments: tuple[Attachment, ...] = ()) -> np.nd
 
 @lru_cache(maxsize=8)
 def scene_arrays(
-    scene: Scene, reach: float, clearance: float = 0.0, most_cells: int = 256
+    scene: Scene,
+    reach: float,
+    clearance: float = 0.0,
+    cell: float = 0.04,
+    most_cells: int = 256,
 ) -> SceneGeometry:
     """Obstacles of a scene, with their distance grid over a cube about the base.
 
     Args:
         scene: the scene.
         reach: half edge of the cube [m].
-        clearance: by which every obstacle is inflated [m].
-        most_cells: of the grid along an edge; a long reach has coarser cells, not more memory.
+        clearance: inflation of every obstacle [m].
+        cell: edge of the grid's cells [m].
+        most_cells: largest number of cells along the cube's edge; else cells are larger.
     """
     clouds, specs = [], []
     for item in scene.obstacles:
@@ -115,35 +124,24 @@ def scene_arrays(
             clouds.append(Cloud(0.5 * (low + high), 0.5 * (high - low), padding + clearance, T))
             continue
         for spec in shape_specs(shape, T):
-            if spec.kind == SPHERE:
-                specs.append(spec._replace(size=(spec.size[0] + clearance,)))
-            else:
-                specs.append(spec._replace(inflation=spec.inflation + clearance))
-    cell = max(CELL, 2.0 * reach / most_cells)
-    return frozen(scene_geometry(specs, clouds, reach, cell))
-
-
-# kind, size and vertices of `ShapeSpec`
-SOLIDS: Mapping[type, Callable[[Any], tuple[int, tuple[float, ...], np.ndarray | None]]] = {
-    Box: lambda box: (BOX, box.size, None),
-    Cylinder: lambda it: (CYLINDER, (it.radius, it.radius, it.height), None),
-    Sphere: lambda ball: (SPHERE, (ball.radius,), None),
-    ConvexMesh: lambda mesh: (HULL, (), mesh.vertices),
-}
+            specs.append(spec._replace(inflation=spec.inflation + clearance))
+    return frozen(scene_geometry(specs, clouds, reach, max(cell, 2.0 * reach / most_cells)))
 
 
 def shape_specs(shape: Shape, T: np.ndarray) -> list[ShapeSpec]:
-    """A shape at pose T (4, 4) [m] as convex shapes; a cloud as the exact checker's boxes."""
-    none = np.empty((0, 3))
-    if not isinstance(shape, Measured):
-        kind, size, vertices = SOLIDS[type(shape)](shape)
-        return [ShapeSpec(kind, size, none if vertices is None else vertices, T)]
-    low, high, radius = blocks_of(shape, T)
-    poses = np.tile(T, (len(low), 1, 1))
-    poses[:, :3, 3] += 0.5 * (low + high) @ T[:3, :3].T
+    """Convex shapes of a shape at pose T (4, 4) [m]; a cloud as the exact checker's boxes."""
+    match shape:
+        case Box():
+            return [ShapeSpec(BOX, T, shape.half)]
+        case Cylinder():
+            return [ShapeSpec(CYLINDER, T, shape.half)]
+        case Sphere():
+            return [ShapeSpec(SPHERE, T, inflation=shape.radius)]
+        case ConvexMesh():
+            return [ShapeSpec(HULL, T, vertices=shape.vertices)]
+    blocks = blocks_of(shape, T)
+    half = 0.5 * (blocks.high - blocks.low)
     return [
-        ShapeSpec(BOX, tuple(edges), none, pose, radius)
-        if edges.any()
-        else ShapeSpec(SPHERE, (radius,), none, pose)
-        for edges, pose in zip(high - low, poses, strict=True)
+        ShapeSpec(BOX if edges.any() else SPHERE, pose, edges, inflation=blocks.padding)
+        for edges, pose in zip(half, blocks.poses(T), strict=True)
     ]

@@ -7,7 +7,6 @@ import numpy as np
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Attachment
-from cvqmpt_lab.scene.shapes import bounding_radius
 
 
 def carried_pairs(robot: Robot, attachments: Sequence[Attachment]) -> list[tuple[int, int]]:
@@ -28,7 +27,7 @@ def reach_with(robot: Robot, attachments: Sequence[Attachment], longest: float =
     all memory. The usual cause is a wrong unit.
     """
     carried = [
-        float(np.linalg.norm(item.T_hand_object[:3, 3])) + bounding_radius(item.shape)
+        float(np.linalg.norm(item.T_hand_object[:3, 3])) + item.shape.bounding_radius
         for item in attachments
     ]
     names = [f"robot {robot.name}", *(f"attachment {item.name!r}" for item in attachments)]

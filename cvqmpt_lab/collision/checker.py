@@ -1,15 +1,18 @@
 """Collision check of a posed robot, compiled and conservative: "free" is proven.
 
-The balls of each body are checked from large to small; a ball that the distance grid shows to be
-free ends its branch. Pieces in the other leaves are checked against each nearby obstacle by
+The balls of each body are checked from large to small. A ball that is free by the distance grid
+ends its branch. Pieces in the other leaves are checked against each nearby obstacle by
 `separation.separated`: free means that a separating slab was found. Poses that are not finite count
 as collisions.
+
+In all functions r (p, 3, 3) and t (p, 3) [m] are the poses of the links, a pose is a 12-tuple (9
+rotation entries by rows, then 3 of translation [m]), and margin is in [m].
 """
 
 import numpy as np
 
 from cvqmpt_lab.base.jit import kernel
-from cvqmpt_lab.collision.distance_grid import REACH, cell_of, known_distance
+from cvqmpt_lab.collision.distance_grid import GRID_REACH_M, cell_of, known_distance
 from cvqmpt_lab.collision.separation import box_separated, compose, separated
 
 
@@ -26,7 +29,16 @@ def _placed(r, t, link, sphere, k):
 
 @kernel(inline="source")
 def ball_clearance(grid, rotation, translation, robot, link, node):
-    """Clearance [m] of a robot's ball, posed with its link, in a grid; infinite outside."""
+    """Clearance [m] of a robot's ball in a distance grid; infinite outside the grid.
+
+    Args:
+        grid: a `DistanceGrid`.
+        rotation: of the links (p, 3, 3).
+        translation: of the links (p, 3) [m].
+        robot: a `RobotGeometry`.
+        link: number of the ball's link.
+        node: number of the ball.
+    """
     x, y, z = _placed(rotation, translation, link, robot.sphere, node)
     ix, iy, iz, inside = cell_of(grid, x, y, z)
     return known_distance(grid, ix, iy, iz) - robot.sphere[node, 3] if inside else np.inf
@@ -34,7 +46,7 @@ def ball_clearance(grid, rotation, translation, robot, link, node):
 
 @kernel(inline="machine")
 def _moved(pose, x, y, z):
-    """R p + t of a point p = (x, y, z), for the pose (R, t) as a 12-tuple."""
+    """Point R p + t of a point p = (x, y, z) under the pose (R, t)."""
     return (
         pose[0] * x + pose[1] * y + pose[2] * z + pose[9],
         pose[3] * x + pose[4] * y + pose[5] * z + pose[10],
@@ -44,7 +56,7 @@ def _moved(pose, x, y, z):
 
 @kernel(inline="machine")
 def _world_in_link(r, t, link):
-    """Pose of the world in a link's frame: 9 rotation entries by rows, then 3 of translation."""
+    """Pose of the world in a link's frame."""
     x, y, z = t[link, 0], t[link, 1], t[link, 2]
     return (
         r[link, 0, 0],
@@ -63,8 +75,8 @@ def _world_in_link(r, t, link):
 
 
 @kernel(inline="source")
-def _way_out(bounds, i, x, y, z):
-    """World vector from the nearest point of item i's box to a point [m]; zero inside."""
+def _closest_face_offset(bounds, i, x, y, z):
+    """World vector from the nearest point of item i's box to a point (x, y, z) [m]; zero inside."""
     dx, dy, dz = x - bounds[i, 9], y - bounds[i, 10], z - bounds[i, 11]
     a = bounds[i, 0] * dx + bounds[i, 3] * dy + bounds[i, 6] * dz
     b = bounds[i, 1] * dx + bounds[i, 4] * dy + bounds[i, 7] * dz
@@ -81,15 +93,23 @@ def _way_out(bounds, i, x, y, z):
 
 @kernel(inline="machine")
 def _outside(x, half):
-    """How far, with its sign, a coordinate lies outside [-half, half]; zero inside."""
+    """Signed distance of a coordinate from the interval [-half, half]; zero inside."""
     return x - min(max(x, -half), half)
 
 
 @kernel
 def _touches_primitive(pieces, piece, scene, item, pose, centre, reach, margin):
-    """Whether a piece comes within margin of a primitive of an item.
+    """Whether a piece comes within a margin of a primitive of an item.
 
-    pose: of the world in the link. centre, reach: a ball around piece and margin, in the link.
+    Args:
+        pieces: of the robot.
+        piece: number of one of them.
+        scene: a `SceneGeometry`.
+        item: number of an item.
+        pose: of the world in the frame of the piece's link.
+        centre: of a ball around the piece, in the frame of its link [m].
+        reach: radius of that ball, and the margin [m].
+        margin: [m].
     """
     frame = compose(scene.shapes.rotation[item], scene.shapes.translation[item], pose)
     radius = scene.bounds[item, 15]
@@ -114,10 +134,13 @@ def _touches_primitive(pieces, piece, scene, item, pose, centre, reach, margin):
 
 @kernel(inline="source")
 def _touches_item(r, t, robot, scene, link, node, where, margin):
-    """Whether an item is within margin of the piece in a leaf; where: its ball's place and cell."""
+    """Whether an item is within a margin of the piece in a leaf.
+
+    where: x, y, z [m] of its ball's centre, ix, iy, iz of its cell, whether that is in the grid.
+    """
     x, y, z, ix, iy, iz, inside = where
     piece, reach = robot.leaf[node], robot.sphere[node, 3] + margin
-    listed = inside and reach <= REACH
+    listed = inside and reach <= GRID_REACH_M
     first, count = 0, scene.bounds.shape[0]
     if listed:
         first = scene.grid.list_start[ix >> 1, iy >> 1, iz >> 1]
@@ -125,7 +148,7 @@ def _touches_item(r, t, robot, scene, link, node, where, margin):
     pose = _world_in_link(r, t, link)
     for k in range(first, first + count):
         i = np.int64(scene.grid.items[k]) if listed else np.int64(k)
-        ax, ay, az = _way_out(scene.bounds, i, x, y, z)
+        ax, ay, az = _closest_face_offset(scene.bounds, i, x, y, z)
         distance2, limit = ax * ax + ay * ay + az * az, reach + scene.bounds[i, 15]
         if distance2 > limit * limit:
             continue
@@ -147,7 +170,7 @@ def _touches_item(r, t, robot, scene, link, node, where, margin):
 
 @kernel(inline="source")
 def _touches_obstacle(r, t, robot, scene, body, margin):
-    """Whether an obstacle is within margin of a body, or the body's pose is not finite."""
+    """Whether an obstacle is within a margin of a body, or the body's pose is not finite."""
     link = robot.body_link[body]
     node, end = robot.body_start[body], robot.body_start[body + 1]
     while node < end:
@@ -168,9 +191,18 @@ def _touches_obstacle(r, t, robot, scene, body, margin):
 
 @kernel(inline="source")
 def _touches_body(robot, piece, x, y, z, radius, other, pose, margin):
-    """Whether a piece of body other is within margin of a piece with ball (x, y, z, radius).
+    """Whether a piece of another body is within a margin of a piece.
 
-    pose: of the other body's link in the frame of the piece's link.
+    Args:
+        robot: a `RobotGeometry`.
+        piece: number of the piece.
+        x: of the centre of the piece's ball, in the frame of its link [m].
+        y: of that centre [m].
+        z: of that centre [m].
+        radius: of that ball, and the margin [m].
+        other: number of the other body.
+        pose: of the other body's link in the frame of the piece's link.
+        margin: [m].
     """
     node, end = robot.body_start[other], robot.body_start[other + 1]
     while node < end:
@@ -190,7 +222,7 @@ def _touches_body(robot, piece, x, y, z, radius, other, pose, margin):
 
 @kernel(inline="source")
 def _bodies_touch(r, t, robot, a, b, xa, ya, za, margin):
-    """Whether two bodies come within margin; xa, ya, za: centre of a's largest ball."""
+    """Whether bodies a and b come within a margin; xa, ya, za [m]: centre of a's largest ball."""
     la, lb = robot.body_link[a], robot.body_link[b]
     node, end, root = robot.body_start[a], robot.body_start[a + 1], robot.body_start[b]
     xb, yb, zb = _placed(r, t, lb, robot.sphere, root)
@@ -221,10 +253,10 @@ def in_contact(link_rotation, link_translation, robot, scene, margin):
     """Whether a posed robot comes within a margin of an obstacle or of itself.
 
     Args:
-        link_rotation: (p, 3, 3), from forward_kinematics.
+        link_rotation: (p, 3, 3), from `forward_kinematics`.
         link_translation: (p, 3) [m].
-        robot: its pieces.
-        scene: obstacles.
+        robot: a `RobotGeometry`.
+        scene: a `SceneGeometry`.
         margin: [m].
 
     Returns:

@@ -1,7 +1,7 @@
 """Bounding volumes: a tree of balls around each body of a robot, boxes around points of a cloud.
 
 A hull is cut in two across its longest axis until the ball around each piece is small. The pieces
-together are the hull: checking those whose balls may touch something checks the hull.
+together are the hull: a check of all pieces whose balls may touch something is a check of the hull.
 """
 
 from collections.abc import Sequence
@@ -10,23 +10,26 @@ from typing import Annotated, NamedTuple
 import numpy as np
 
 from cvqmpt_lab.base.jit import entry
+from cvqmpt_lab.geometry.convex import convex_hull, halves
 
-LARGEST_RADIUS = 0.08  # [m] pieces are cut until their ball is this small
-MOST_PIECES = 8  # per shape; more only while a ball is larger than ANY_RADIUS
-ANY_RADIUS = 0.095  # [m] below the reach of the distance grid's lists
-SLACK = 1e-8  # [m] added to every ball: more than FLAT and the rounding of its vertices
+PIECE_RADIUS_M = 0.095  # of the largest ball around a piece: smaller than GRID_REACH_M
+# added to the radius of every ball: more than `convex_hull` loses of flat sets, and than rounding
+BALL_SLACK_M = 1e-8
 
 
 class Piece(NamedTuple):
     """One leaf of a sphere tree."""
 
-    points: np.ndarray  # (k, 3), whose hull, inflated, holds the piece [m]
+    points: np.ndarray  # (k, 3), whose inflated hull contains the piece [m]
     inflation: float  # [m]
-    number: int  # the caller's number for it
+    number: int  # that the caller gives it
 
 
 class SphereTrees(NamedTuple):
-    """Trees of balls, one after the other, in preorder: a cleared ball clears all up to `skip`."""
+    """Trees of balls, one after the other, in preorder.
+
+    A ball that is free frees all balls before its `skip`.
+    """
 
     sphere: np.ndarray  # (k, 4) centre and radius [m]
     skip: np.ndarray  # (k,) int64 next node outside the subtree
@@ -44,7 +47,13 @@ def shrink_sphere(
     """Write the centre of a small ball around points into best; return its radius [m].
 
     c <- c + (p - c) / (i + 1) with p the point farthest from c, i = 1, 2, ... (Badoiu and Clarkson,
-    "Smaller core-sets for balls", 2003). centre: work array.
+    "Smaller core-sets for balls", 2003).
+
+    Args:
+        points: (k, 3) [m].
+        rounds: largest i.
+        centre: work array (3,).
+        best: centre of the ball (3,) [m]; written.
     """
     smallest = np.inf
     for a in range(3):
@@ -62,7 +71,7 @@ def shrink_sphere(
                 best[a] = centre[a]
             centre[a] += (points[far, a] - centre[a]) / (i + 1)
         smallest = min(smallest, most)
-    return np.sqrt(smallest) + SLACK
+    return np.sqrt(smallest) + BALL_SLACK_M
 
 
 def enclosing_sphere(points: np.ndarray) -> tuple[np.ndarray, float]:
@@ -72,72 +81,37 @@ def enclosing_sphere(points: np.ndarray) -> tuple[np.ndarray, float]:
     return centre, radius
 
 
-class Hull(NamedTuple):
-    """A convex hull."""
+def cut_into_pieces(points: np.ndarray, small: float = 0.08, few: int = 8) -> list[np.ndarray]:
+    """Cut the hull of points (n, 3) [m] into convex pieces whose union it is.
 
-    corners: np.ndarray  # (k, 3) [m]
-    edges: np.ndarray  # (e, 2) pairs of corners that include all its edges
+    Args:
+        points: (n, 3) [m].
+        small: radius of a ball around a piece that is not cut further [m].
+        few: number of pieces from which on only those with balls above PIECE_RADIUS_M are cut.
 
-
-def convex_hull(points: np.ndarray, flat: float = 1e-9) -> Hull:
-    """The hull of points (n, 3) [m]; sets thinner than `flat` [m] are planar or straight."""
-    from scipy.spatial import ConvexHull, QhullError  # 0.3 s to import, needed once a robot
-
-    centred = points - points.mean(axis=0)
-    along = centred @ np.linalg.svd(centred, full_matrices=False)[2].T
-    along = along[:, np.ptp(along, axis=0) > flat]
-    if along.shape[1] == 0:
-        return Hull(points[:1], np.empty((0, 2), dtype=np.int64))
-    if along.shape[1] == 1:
-        return Hull(points[[np.argmin(along), np.argmax(along)]], np.array([[0, 1]]))
-    try:
-        hull = ConvexHull(along)
-    except QhullError:  # too thin for Qhull: every point may be a corner, every pair an edge
-        return Hull(points, np.argwhere(np.triu(np.ones((len(points), len(points))), 1)))
-    row = np.zeros(len(points), dtype=np.int64)
-    row[hull.vertices] = np.arange(len(hull.vertices))
-    sides = [[0, 1]] if along.shape[1] == 2 else [[0, 1], [1, 2], [2, 0]]
-    return Hull(points[hull.vertices], row[hull.simplices[:, sides].reshape(-1, 2)])
-
-
-def cut_into_pieces(points: np.ndarray) -> list[np.ndarray]:
-    """Convex pieces (points (k, 3) each) whose union is the hull of points (n, 3) [m]."""
+    Returns:
+        Corners (k, 3) of each piece [m].
+    """
     pieces = [convex_hull(points)]
     radii = [enclosing_sphere(pieces[0].corners)[1]]
-    while max(radii) > (LARGEST_RADIUS if len(pieces) < MOST_PIECES else ANY_RADIUS):
+    while max(radii) > (small if len(pieces) < few else PIECE_RADIUS_M):
         widest = int(np.argmax(radii))
         radii.pop(widest)
-        for half in _halves(pieces.pop(widest)):
+        for half in halves(pieces.pop(widest)):
             pieces.append(half)
             radii.append(enclosing_sphere(half.corners)[1])
     return [piece.corners for piece in pieces]
 
 
-def _halves(hull: Hull) -> tuple[Hull, Hull]:
-    """Cut a hull in the middle of its longest principal axis."""
-    points = hull.corners
-    centred = points - points.mean(axis=0)
-    along = centred @ np.linalg.svd(centred, full_matrices=False)[2].T
-    height = along[:, np.argmax(np.ptp(along, axis=0))]
-    height = height - 0.5 * (height.min() + height.max())
-    a, b = hull.edges.T
-    crossing = (height[a] < 0.0) != (height[b] < 0.0)
-    a, b = a[crossing], b[crossing]
-    fraction = (height[a] / (height[a] - height[b]))[:, None]
-    cut = points[a] + fraction * (points[b] - points[a])
-    below, above = points[height < 0.0], points[height >= 0.0]
-    return convex_hull(np.concatenate([below, cut])), convex_hull(np.concatenate([above, cut]))
-
-
 def sphere_trees(groups: Sequence[Sequence[Piece]]) -> SphereTrees:
-    """A tree of balls over each group of pieces; a ball contains the inflated pieces below it."""
+    """Make a tree of balls over each group; a ball contains the inflated pieces below it."""
     spheres, skips, leaves = [np.empty((0, 4))], list[int](), list[int]()
 
     def visit(group: Sequence[Piece]) -> None:
         node = len(skips)
         centre, _ = enclosing_sphere(np.concatenate([piece.points for piece in group]))
         radius = max(np.linalg.norm(p.points - centre, axis=1).max() + p.inflation for p in group)
-        spheres.append(np.append(centre, radius + SLACK)[None])
+        spheres.append(np.append(centre, radius + BALL_SLACK_M)[None])
         leaves.append(group[0].number if len(group) == 1 else -1)
         skips.append(0)
         if len(group) > 1:
@@ -168,16 +142,20 @@ class Cloud(NamedTuple):
 class Clusters(NamedTuple):
     """Boxes around neighbouring primitives, along the axes of their cloud's frame."""
 
-    bounds: np.ndarray  # (n, 16) as of `distance_grid`, inflated like the primitives
-    listed: np.ndarray  # (n,) int64 rows of `primitives`; none for a cluster of one primitive
+    bounds: np.ndarray  # (n, 16) as in `distance_grid`, inflated like the primitives
+    listed: np.ndarray  # (n,) int64 numbers of rows of `primitives`; 0 for a single primitive
     # (k, 6) centres, from the cluster's in the cloud's axes, and half edges [m]
     primitives: np.ndarray
 
 
 def cluster_primitives(cloud: Cloud, voxel: float, most: int = 16, fine: int = 8) -> Clusters:
-    """Boxes around primitives of a cloud whose centres lie in the same voxel of this edge [m].
+    """Boxes around those primitives of a cloud whose centres lie in the same voxel.
 
-    Each holds at most `most` of them, sorted along a curve of `fine` steps a voxel.
+    Args:
+        cloud: the primitives.
+        voxel: edge of a voxel [m].
+        most: largest number of primitives in a box.
+        fine: steps along the edge of a voxel of the curve by which primitives are sorted.
     """
     key = _curve_position(cloud.centre, voxel / fine)
     order = np.argsort(key)

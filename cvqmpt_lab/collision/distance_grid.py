@@ -1,10 +1,13 @@
 """A grid of lower bounds on distances to obstacles: balls with smaller radius are free.
 
-Each cell holds a lower bound, rounded down to a byte; each block of 2^3 cells lists the obstacles
-nearby. The grid is filled by blocks of 8^3 cells: each obstacle that can matter inside a block
-lowers the distances of all its cells. For a box along the axes, squared distances are sums of one
-term an axis, 24 in all: each of 512 cells costs an addition and a comparison. Turned boxes are
+Each cell holds a lower bound, rounded down to a byte; each list block of 2^3 cells lists the
+obstacles nearby. The grid is filled by blocks of 8^3 cells: each obstacle that can matter inside a
+block lowers the distances of all its cells. For a box along the axes, squared distances are sums of
+one term an axis, 24 in all: each of 512 cells costs an addition and a comparison. Turned boxes are
 measured cell by cell, where they can be nearest.
+
+In all functions `bounds` (k, BOUNDS_COLUMNS) are oriented boxes around obstacles: rotation by rows,
+centre, half edges, inflation [m].
 """
 
 from typing import Annotated, NamedTuple
@@ -13,15 +16,14 @@ import numpy as np
 
 from cvqmpt_lab.base.jit import entry, kernel
 
-NEAREST, FARTHEST = -0.1, 0.15  # [m] clearances of edges are cut off here
-RANGE = 0.3  # [m] distances are cut off here
-STEP = RANGE / 255.0  # [m] of a stored byte
-COARSE = 8  # cells along the edge of a block
-SIDE = 4  # list blocks along the edge of one of these
-LISTS = SIDE**3  # in all
-REACH = 0.13  # [m] largest ball whose neighbours are listed
-CENTRE, HALF, INFLATION, COLUMNS = 9, 12, 15, 16  # of an obstacle's bounds; rotation comes first
-_HALF_DIAGONAL = 1.7320509  # of a cube of half edge 1, rounded up
+GRID_RANGE_M = 0.3  # distances are cut off here
+GRID_STEP_M = GRID_RANGE_M / 255.0  # of a stored byte
+GRID_REACH_M = 0.13  # radius of the largest ball whose neighbours are listed
+BLOCK_CELLS = 8  # along the edge of a block
+BLOCK_LISTS = 4  # list blocks along the edge of a block
+# first columns of the centre, the half edges and the inflation in bounds, and number of columns
+BOUNDS_CENTRE, BOUNDS_HALF, BOUNDS_INFLATION, BOUNDS_COLUMNS = 9, 12, 15, 16
+_CUBE_HALF_DIAGONAL = 1.7320509  # of a cube of half edge 1, rounded up
 
 
 class DistanceGrid(NamedTuple):
@@ -30,7 +32,7 @@ class DistanceGrid(NamedTuple):
     origin: Annotated[np.ndarray, "3"]  # Corner of the grid [m]
     cell: float  # Edge of a cell [m]
     cells_per_metre: float  # Its inverse [1/m]
-    distance: Annotated[np.ndarray, "uint8 cells_x cells_y cells_z"]  # In units of RANGE / 255
+    distance: Annotated[np.ndarray, "uint8 cells_x cells_y cells_z"]  # In units of GRID_STEP_M
     # First of `items` of a 2^3 block
     list_start: Annotated[np.ndarray, "int64 lists_x lists_y lists_z"]
     list_count: Annotated[np.ndarray, "int32 lists_x lists_y lists_z"]  # Length of its list
@@ -39,7 +41,10 @@ class DistanceGrid(NamedTuple):
 
 @kernel(inline="machine")
 def _distances(bounds, i, x, y, z, half):
-    """Distances of obstacle i from a cube (a lower bound) and from its centre [m]."""
+    """Distances [m] of obstacle i from a cube (a lower bound) and from the cube's centre (x, y, z).
+
+    half: half edge of the cube [m].
+    """
     dx, dy, dz = x - bounds[i, 9], y - bounds[i, 10], z - bounds[i, 11]
     cube2 = centre2 = 0.0
     # axis-aligned, the common case
@@ -59,17 +64,26 @@ def _distances(bounds, i, x, y, z, half):
 
 @kernel
 def _relevant(bounds, grid, corner, candidates, near, kept):
-    """Copy the candidates that can be nearest somewhere in a block, or within REACH, to kept.
+    """Keep the candidates that can be nearest somewhere in a block, or are within GRID_REACH_M.
 
-    near: (candidates,), written: distances from the block of those kept [m]. Returns their number.
+    Args:
+        bounds: of all obstacles.
+        grid: the grid.
+        corner: of the block (3,) [m].
+        candidates: rows of obstacles (c,).
+        near: distances of those kept from the block (c,) [m]; written.
+        kept: their rows (c,); written.
+
+    Returns:
+        Number of those kept.
     """
-    half, nearest, n = 0.5 * COARSE * grid.cell, RANGE, 0
+    half, nearest, n = 0.5 * BLOCK_CELLS * grid.cell, GRID_RANGE_M, 0
     x, y, z = corner[0] + half, corner[1] + half, corner[2] + half
     for k in range(candidates.shape[0]):
         near[k], from_centre = _distances(bounds, candidates[k], x, y, z, half)
-        nearest = min(nearest, max(from_centre, 0.0) + _HALF_DIAGONAL * half)
+        nearest = min(nearest, max(from_centre, 0.0) + _CUBE_HALF_DIAGONAL * half)
     for k in range(candidates.shape[0]):
-        if near[k] <= max(nearest, REACH):
+        if near[k] <= max(nearest, GRID_REACH_M):
             kept[n], near[n] = candidates[k], near[k]
             n += 1
     return n
@@ -77,7 +91,10 @@ def _relevant(bounds, grid, corner, candidates, near, kept):
 
 @kernel
 def _gaps(low, high, first, edge, gaps):
-    """Write squared distances [m^2] of consecutive intervals, from `first` on, from low..high."""
+    """Write squared distances [m^2] between low..high and consecutive intervals from `first` on.
+
+    edge: length of an interval [m].
+    """
     for k in range(gaps.shape[0]):
         gap = max(low - (first + (k + 1) * edge), first + k * edge - high, 0.0)
         gaps[k] = gap * gap
@@ -85,10 +102,10 @@ def _gaps(low, high, first, edge, gaps):
 
 @kernel
 def _lower(best, x, yz, inflation):
-    """best[i, j] = min(best[i, j], sqrt(x[i] + yz[j]) - inflation) of distances [m]."""
-    for cx in range(COARSE):
+    """Set best[i, j] = min(best[i, j], sqrt(x[i] + yz[j]) - inflation) [m]."""
+    for cx in range(BLOCK_CELLS):
         gap2 = x[cx]
-        for c in range(COARSE * COARSE):
+        for c in range(BLOCK_CELLS * BLOCK_CELLS):
             there = np.sqrt(gap2 + yz[c]) - inflation
             best[cx, c] = there if there < best[cx, c] else best[cx, c]
 
@@ -97,7 +114,7 @@ def _lower(best, x, yz, inflation):
 def _add_straight(bounds, i, grid, matters, work):
     """Lower the distances of a block's cells to those from a box along the axes, and list it.
 
-    matters: False when no distance of the block can be lowered. work: see `Work`.
+    matters: False when no distance of the block can be lowered.
     """
     inflation = bounds[i, 15]
     for a in range(3):
@@ -105,18 +122,18 @@ def _add_straight(bounds, i, grid, matters, work):
         _gaps(low, high, work.corner[a], grid.cell, work.gaps[a])
     x, y, z = work.gaps[0], work.gaps[1], work.gaps[2]
     if matters:
-        for cy in range(COARSE):
-            for cz in range(COARSE):
-                work.yz[COARSE * cy + cz] = y[cy] + z[cz]
+        for cy in range(BLOCK_CELLS):
+            for cz in range(BLOCK_CELLS):
+                work.yz[BLOCK_CELLS * cy + cz] = y[cy] + z[cz]
         _lower(work.best, x, work.yz, inflation)
-    limit2 = (REACH + inflation) * (REACH + inflation)
-    for lx in range(SIDE):
+    limit2 = (GRID_REACH_M + inflation) * (GRID_REACH_M + inflation)
+    for lx in range(BLOCK_LISTS):
         across = min(x[2 * lx], x[2 * lx + 1])
-        for ly in range(SIDE if across <= limit2 else 0):
+        for ly in range(BLOCK_LISTS if across <= limit2 else 0):
             plane = across + min(y[2 * ly], y[2 * ly + 1])
-            for lz in range(SIDE if plane <= limit2 else 0):
+            for lz in range(BLOCK_LISTS if plane <= limit2 else 0):
                 if plane + min(z[2 * lz], z[2 * lz + 1]) <= limit2:
-                    s = (lx * SIDE + ly) * SIDE + lz
+                    s = (lx * BLOCK_LISTS + ly) * BLOCK_LISTS + lz
                     work.listed[s, work.counts[s]] = i
                     work.counts[s] += 1
 
@@ -125,7 +142,7 @@ def _add_straight(bounds, i, grid, matters, work):
 def _add_turned(bounds, i, grid, work):
     """Lower the distances of a block's cells to those from a turned box, and list it."""
     edge, corner, upper, best = grid.cell, work.corner, work.upper, work.best
-    for s in range(LISTS):
+    for s in range(BLOCK_LISTS**3):
         lx, ly, lz = 2 * (s >> 4), 2 * (s >> 2 & 3), 2 * (s & 3)
         x, y, z = (
             corner[0] + (lx + 1) * edge,
@@ -133,12 +150,12 @@ def _add_turned(bounds, i, grid, work):
             corner[2] + (lz + 1) * edge,
         )
         near, from_centre = _distances(bounds, i, x, y, z, edge)
-        if near <= REACH:
+        if near <= GRID_REACH_M:
             work.listed[s, work.counts[s]] = i
             work.counts[s] += 1
         if near > upper[s]:
             continue
-        upper[s] = min(upper[s], max(from_centre, 0.0) + _HALF_DIAGONAL * edge)
+        upper[s] = min(upper[s], max(from_centre, 0.0) + _CUBE_HALF_DIAGONAL * edge)
         for k in range(8):
             cx, cy, cz = lx + (k >> 2), ly + (k >> 1 & 1), lz + (k & 1)
             x, y, z = (
@@ -146,21 +163,22 @@ def _add_turned(bounds, i, grid, work):
                 corner[1] + (cy + 0.5) * edge,
                 corner[2] + (cz + 0.5) * edge,
             )
-            c = COARSE * cy + cz
+            c = BLOCK_CELLS * cy + cz
             best[cx, c] = min(best[cx, c], _distances(bounds, i, x, y, z, 0.5 * edge)[0])
 
 
 @kernel
 def _store(grid, bx, by, bz, best):
-    """Round a block's distances down to bytes."""
-    for cx in range(COARSE):
-        for cy in range(COARSE):
-            for cz in range(COARSE):
-                c = COARSE * cy + cz
+    """Round the distances `best` of block (bx, by, bz) down to bytes."""
+    for cx in range(BLOCK_CELLS):
+        for cy in range(BLOCK_CELLS):
+            for cz in range(BLOCK_CELLS):
+                c = BLOCK_CELLS * cy + cz
                 nearest = best[cx, c]
                 # a nanometre is more than the rounding of a computed distance
-                stored = np.uint8(255 if nearest >= RANGE else max(nearest - 1e-9, 0.0) / STEP)
-                grid.distance[COARSE * bx + cx, COARSE * by + cy, COARSE * bz + cz] = stored
+                steps = 255 if nearest >= GRID_RANGE_M else max(nearest - 1e-9, 0.0) / GRID_STEP_M
+                x, y, z = BLOCK_CELLS * bx + cx, BLOCK_CELLS * by + cy, BLOCK_CELLS * bz + cz
+                grid.distance[x, y, z] = np.uint8(steps)
 
 
 class Work(NamedTuple):
@@ -173,8 +191,8 @@ class Work(NamedTuple):
     best: Annotated[np.ndarray, "8 64"]  # Distances of the cells [m]
     # Upper bound on the distances of each list block's cells [m]
     upper: Annotated[np.ndarray, "64"]
-    counts: Annotated[np.ndarray, "int64 64"]  # How many obstacles each list holds
-    listed: Annotated[np.ndarray, "int32 64 most"]  # Those
+    counts: Annotated[np.ndarray, "int64 64"]  # Number of obstacles in each list
+    listed: Annotated[np.ndarray, "int32 64 most"]  # The obstacles
     near: Annotated[np.ndarray, "most"]  # Distances of obstacles from the block [m]
     kept: Annotated[np.ndarray, "int32 most"]  # Obstacles that matter to it
 
@@ -182,8 +200,8 @@ class Work(NamedTuple):
 @kernel
 def _add_all(bounds, grid, kept, near, n, work):
     """Lower the distances of a block to those from n obstacles, and list these."""
-    work.best[:], work.upper[:], work.counts[:] = RANGE, RANGE, 0
-    farthest = RANGE
+    work.best[:], work.upper[:], work.counts[:] = GRID_RANGE_M, GRID_RANGE_M, 0
+    farthest = GRID_RANGE_M
     for k in range(n):
         i = kept[k]
         if bounds[i, 1] == 0.0 and bounds[i, 2] == 0.0 and bounds[i, 5] == 0.0:
@@ -207,14 +225,28 @@ def fill_blocks(
     first: int,
     used: int,
 ):
-    """Fill blocks from first until `grid.items` is full; return the next block and items used."""
-    blocks_y, blocks_z = grid.distance.shape[1] // COARSE, grid.distance.shape[2] // COARSE
+    """Fill blocks until `grid.items` is full.
+
+    Args:
+        bounds: of all obstacles.
+        grid: the grid.
+        block_start: first of `block_items` of each block, and their number.
+        block_items: rows of the obstacles within GRID_RANGE_M of each block.
+        work: work arrays.
+        first: block to begin with.
+        used: length of the used part of `grid.items`.
+
+    Returns:
+        The next block to fill, and the new `used`.
+    """
+    blocks_y = grid.distance.shape[1] // BLOCK_CELLS
+    blocks_z = grid.distance.shape[2] // BLOCK_CELLS
     near, kept, items = work.near, work.kept, grid.items
     for block in range(first, block_start.shape[0] - 1):
         bz, by, bx = block % blocks_z, block // blocks_z % blocks_y, block // (blocks_z * blocks_y)
-        work.corner[0] = grid.origin[0] + COARSE * grid.cell * bx
-        work.corner[1] = grid.origin[1] + COARSE * grid.cell * by
-        work.corner[2] = grid.origin[2] + COARSE * grid.cell * bz
+        work.corner[0] = grid.origin[0] + BLOCK_CELLS * grid.cell * bx
+        work.corner[1] = grid.origin[1] + BLOCK_CELLS * grid.cell * by
+        work.corner[2] = grid.origin[2] + BLOCK_CELLS * grid.cell * bz
         some = block_items[block_start[block] : block_start[block + 1]]
         n = _relevant(bounds, grid, work.corner, some, near, kept)
         if n == 0:
@@ -223,13 +255,15 @@ def fill_blocks(
         _store(grid, bx, by, bz, work.best)
         listed = 0
         # work.counts.sum() would import scipy.linalg wherever this is loaded
-        for s in range(LISTS):
+        for s in range(BLOCK_LISTS**3):
             listed += work.counts[s]
         if used + listed > items.shape[0]:
             return block, used
-        for s in range(LISTS):
+        for s in range(BLOCK_LISTS**3):
             count = work.counts[s]
-            lx, ly, lz = SIDE * bx + (s >> 4), SIDE * by + (s >> 2 & 3), SIDE * bz + (s & 3)
+            lx = BLOCK_LISTS * bx + (s >> 4)
+            ly = BLOCK_LISTS * by + (s >> 2 & 3)
+            lz = BLOCK_LISTS * bz + (s & 3)
             grid.list_start[lx, ly, lz], grid.list_count[lx, ly, lz] = used, count
             for k in range(count):
                 items[used + k] = work.listed[s, k]
@@ -238,22 +272,23 @@ def fill_blocks(
 
 
 def distance_grid(bounds: np.ndarray, half: float, cell: float) -> DistanceGrid:
-    """The grid over a cube about the world's origin.
+    """Grid over a cube about the world's origin.
 
-    Each cell holds a lower bound of min_i min_{x in cell} d(x, obstacle_i), at most RANGE.
-    Obstacles within REACH are listed.
+    Each cell holds a lower bound of min_i min_{x in cell} d(x, obstacle_i), at most GRID_RANGE_M.
+    Obstacles within GRID_REACH_M are listed.
 
     Args:
-        bounds: (k, COLUMNS), oriented boxes around obstacles.
+        bounds: of all obstacles.
         half: half edge of the cube [m].
         cell: edge of a cell [m].
     """
-    edge, origin = COARSE * cell, np.full(3, -half)
+    edge, origin = BLOCK_CELLS * cell, np.full(3, -half)
     blocks = np.maximum(np.ceil((np.full(3, half) - origin) / edge - 1e-9).astype(np.int64), 1)
-    # obstacles within RANGE of each block, in their order: block_items from block_start on
-    centre, extent = bounds[:, CENTRE:HALF], np.tile(RANGE + bounds[:, INFLATION:], 3)
+    # obstacles within GRID_RANGE_M of each block, in their order: block_items from block_start on
+    centre = bounds[:, BOUNDS_CENTRE:BOUNDS_HALF]
+    extent = np.tile(GRID_RANGE_M + bounds[:, BOUNDS_INFLATION:], 3)
     for k in range(3):
-        extent += np.abs(bounds[:, k:CENTRE:3]) * bounds[:, HALF + k, None]
+        extent += np.abs(bounds[:, k:BOUNDS_CENTRE:3]) * bounds[:, BOUNDS_HALF + k, None]
     low = np.clip(np.floor((centre - extent - origin) / edge), 0.0, blocks).astype(np.int64)
     high = np.clip(np.floor((centre + extent - origin) / edge) + 1.0, 0.0, blocks).astype(np.int64)
     counts = (high - low).prod(axis=1)
@@ -265,12 +300,12 @@ def distance_grid(bounds: np.ndarray, half: float, cell: float) -> DistanceGrid:
     block_of = np.ravel_multi_index(tuple(index), tuple(blocks))
     block_items = item[np.argsort(block_of, kind="stable")].astype(np.int32)
     starts = np.append(0, np.cumsum(np.bincount(block_of, minlength=int(blocks.prod()))))
-    pairs, most = tuple(COARSE // 2 * blocks), int(np.diff(starts).max())
+    pairs, most = tuple(BLOCK_CELLS // 2 * blocks), int(np.diff(starts).max())
     grid = DistanceGrid(
         origin,
         float(cell),
         1.0 / float(cell),
-        np.full(tuple(COARSE * blocks), 255, dtype=np.uint8),
+        np.full(tuple(BLOCK_CELLS * blocks), 255, dtype=np.uint8),
         np.zeros(pairs, dtype=np.int64),
         np.zeros(pairs, dtype=np.int32),
         np.empty(1024, dtype=np.int32),  # grows below
@@ -278,12 +313,12 @@ def distance_grid(bounds: np.ndarray, half: float, cell: float) -> DistanceGrid:
     block, used = 0, 0
     work = Work(
         corner=np.empty(3),
-        gaps=np.empty((3, COARSE)),
-        yz=np.empty(COARSE**2),
-        best=np.empty((COARSE, COARSE**2)),
-        upper=np.empty(LISTS),
-        counts=np.empty(LISTS, dtype=np.int64),
-        listed=np.empty((LISTS, most), dtype=np.int32),
+        gaps=np.empty((3, BLOCK_CELLS)),
+        yz=np.empty(BLOCK_CELLS**2),
+        best=np.empty((BLOCK_CELLS, BLOCK_CELLS**2)),
+        upper=np.empty(BLOCK_LISTS**3),
+        counts=np.empty(BLOCK_LISTS**3, dtype=np.int64),
+        listed=np.empty((BLOCK_LISTS**3, most), dtype=np.int32),
         near=np.empty(most),
         kept=np.empty(most, dtype=np.int32),
     )
@@ -297,7 +332,14 @@ def distance_grid(bounds: np.ndarray, half: float, cell: float) -> DistanceGrid:
 
 @kernel(inline="machine")
 def cell_of(grid, x, y, z):
-    """The cell (3 ints) of a point and whether the point lies in the grid (else cell 0)."""
+    """Cell (3 ints) of a point and whether the point lies in the grid (else cell 0).
+
+    Args:
+        grid: a `DistanceGrid`.
+        x: of the point [m].
+        y: of the point [m].
+        z: of the point [m].
+    """
     scale = grid.cells_per_metre
     fx, fy, fz = (
         (x - grid.origin[0]) * scale,
@@ -312,5 +354,12 @@ def cell_of(grid, x, y, z):
 
 @kernel(inline="machine")
 def known_distance(grid, ix, iy, iz):
-    """The lower bound stored in a cell [m]."""
-    return grid.distance[ix, iy, iz] * STEP
+    """Lower bound on the distance of an obstacle from a cell [m].
+
+    Args:
+        grid: a `DistanceGrid`.
+        ix: index of the cell along x.
+        iy: index along y.
+        iz: index along z.
+    """
+    return grid.distance[ix, iy, iz] * GRID_STEP_M

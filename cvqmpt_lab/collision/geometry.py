@@ -1,4 +1,4 @@
-"""Robot and scene for the collision kernels: named tuples of arrays and how they are made.
+"""Robot and scene for the collision kernels, as named tuples of arrays.
 
 A *piece* is a convex part of a robot geometry. A *body* is a set of geometries on one link that are
 checked against the same others; it has one tree of balls. An *item* is an obstacle, or a box around
@@ -6,7 +6,6 @@ neighbouring primitives of a cloud.
 """
 
 from collections.abc import Sequence
-from itertools import product
 from typing import Annotated, NamedTuple
 
 import numpy as np
@@ -16,15 +15,14 @@ from cvqmpt_lab.collision.covers import (
     Cloud,
     Piece,
     cluster_primitives,
-    convex_hull,
     cut_into_pieces,
     sphere_trees,
 )
 from cvqmpt_lab.collision.distance_grid import (
-    CENTRE,
-    COLUMNS,
-    HALF,
-    INFLATION,
+    BOUNDS_CENTRE,
+    BOUNDS_COLUMNS,
+    BOUNDS_HALF,
+    BOUNDS_INFLATION,
     DistanceGrid,
     distance_grid,
 )
@@ -36,56 +34,48 @@ from cvqmpt_lab.collision.separation import (
     SPHERE,
     ConvexShapes,
 )
-
-CELL = 0.04  # [m] of the distance grid
+from cvqmpt_lab.geometry.convex import box_corners, convex_hull, prism_around
 
 
 class ShapeSpec(NamedTuple):
-    """One convex shape in plain numbers."""
+    """Convex shape in plain numbers, in the frame of its owner: a link or the world."""
 
     kind: int  # HULL, BOX, CYLINDER or SPHERE
-    size: tuple[float, ...]
-    """Full edges of a box, (radius, radius, height) of a cylinder, (radius,) of a sphere, () for a
-    hull [m].
+    T_owner_shape: np.ndarray  # (4, 4) pose [m]
+    # half edges of a box, (radius, radius, half height) of a cylinder [m]
+    half: np.ndarray = np.zeros(3)
+    vertices: np.ndarray = np.empty((0, 3))  # of a hull [m]
+    inflation: float = 0.0  # to all sides [m]; a sphere is an inflated point
+
+
+def outline(spec: ShapeSpec, sides: int = 16) -> np.ndarray:
+    """Points (k, 3) whose inflated hull contains the shape, in the owner's frame [m].
+
+    sides: of the prism around a cylinder.
     """
-    vertices: np.ndarray  # (n, 3) of a hull in the shape's frame, else (0, 3) [m]
-    T_owner_shape: np.ndarray  # (4, 4) pose in the frame of the link or the world
-    inflation: float = 0.0  # of a box, cylinder or hull, to all sides [m]
-
-
-def outline(spec: ShapeSpec, sides: int = 16) -> tuple[np.ndarray, float]:
-    """Points (k, 3) and a radius [m] whose inflated hull holds the shape, in the owner's frame.
-
-    The owner is a link or the world. A cylinder becomes a prism with so many sides around it.
-    """
+    half = spec.half
     if spec.kind == HULL:
         points = spec.vertices
     elif spec.kind == BOX:
-        points = 0.5 * np.array(spec.size) * np.array(list(product((-1.0, 1.0), repeat=3)))
+        points = box_corners(-half, half)
     elif spec.kind == CYLINDER:
-        turn = 2.0 * np.pi * np.arange(sides) / sides
-        radius = spec.size[0] / np.cos(np.pi / sides)
-        half = np.full(sides, 0.5 * spec.size[2])
-        rim = np.column_stack([radius * np.cos(turn), radius * np.sin(turn), half])
-        points = np.concatenate([rim, rim * (1.0, 1.0, -1.0)])
+        points = prism_around(half[0], (half[2], -half[2]), sides)
     else:
         points = np.zeros((1, 3))
-    inflation = spec.size[0] if spec.kind == SPHERE else spec.inflation
-    return points @ spec.T_owner_shape[:3, :3].T + spec.T_owner_shape[:3, 3], inflation
+    return points @ spec.T_owner_shape[:3, :3].T + spec.T_owner_shape[:3, 3]
 
 
 def pack_shapes(specs: Sequence[ShapeSpec]) -> ConvexShapes:
-    """Shapes as a struct of arrays, in the order given; of a mesh only the vertices of its hull."""
+    """Pack shapes into arrays, in the order given; of a mesh only the vertices of its hull."""
     n = len(specs)
-    size, radius = np.zeros((n, 3)), np.zeros(n)
+    size = np.array([spec.half for spec in specs]).reshape(n, 3)
+    radius = np.array([spec.inflation for spec in specs], dtype=float)
     rotation, translation = np.tile(np.eye(3), (n, 1, 1)), np.zeros((n, 3))
     count = np.zeros(n, dtype=np.int64)
     corners: list[np.ndarray] = [np.empty((0, 3))]
     for i, spec in enumerate(specs):
-        radius[i] = spec.size[0] if spec.kind == SPHERE else spec.inflation
         if spec.kind == HULL:
-            points, _ = outline(spec)
-            corners.append(convex_hull(points).corners)
+            corners.append(convex_hull(outline(spec)).corners)
             count[i] = len(corners[-1])
             if count[i] >= MAX_HULL_VERTICES:
                 raise InvalidInputError(
@@ -93,13 +83,8 @@ def pack_shapes(specs: Sequence[ShapeSpec]) -> ConvexShapes:
                     f"{MAX_HULL_VERTICES - 1}"
                 )
             size[i] = np.abs(corners[-1]).max(axis=0)
-            continue
-        rotation[i], translation[i] = spec.T_owner_shape[:3, :3], spec.T_owner_shape[:3, 3]
-        if spec.kind == CYLINDER:
-            size[i] = spec.size[0], spec.size[0], 0.5 * spec.size[2]
-        elif spec.kind == BOX:
-            size[i] = spec.size
-            size[i] *= 0.5
+        else:
+            rotation[i], translation[i] = spec.T_owner_shape[:3, :3], spec.T_owner_shape[:3, 3]
     kind = np.array([spec.kind for spec in specs], dtype=np.int64)
     vertices = np.ascontiguousarray(np.concatenate(corners).T)
     return ConvexShapes(
@@ -138,10 +123,13 @@ def robot_geometry(
     link: Sequence[int],
     pairs: Sequence[tuple[int, int]],
 ) -> RobotGeometry:
-    """Pieces of a robot and their trees of balls.
+    """Cut a robot into pieces and make their trees of balls.
 
-    specs: geometries, posed in their links. link: pose row of each; those of link 0, fixed to the
-        world, are not checked against obstacles. pairs: geometries to check against each other.
+    Args:
+        specs: geometries, posed in their links.
+        link: pose row of each; those of link 0, fixed to the world, are not checked against
+            obstacles.
+        pairs: geometries to check against each other.
     """
     bodies, body_pairs = _bodies(link, pairs)
     piece_specs: list[ShapeSpec] = []
@@ -166,7 +154,11 @@ def robot_geometry(
 def _bodies(
     link: Sequence[int], pairs: Sequence[tuple[int, int]]
 ) -> tuple[list[list[int]], list[tuple[int, int]]]:
-    """Geometries grouped by link and partners of checks, and the pairs of groups to check."""
+    """Group geometries by link and by what they are checked against.
+
+    Returns:
+        Geometries of each group, and the pairs of groups to check.
+    """
     partners: list[set[int]] = [set() for _ in link]
     for a, b in pairs:
         partners[a].add(b)
@@ -182,37 +174,42 @@ def _bodies(
 
 def _cut(spec: ShapeSpec, pieces: list[ShapeSpec]) -> list[Piece]:
     """Append the pieces of one geometry, cylinders and spheres whole; return a tree's leaves."""
-    points, inflation = outline(spec)
+    points = outline(spec)
     parts = [points] if spec.kind == SPHERE else cut_into_pieces(points)
     if spec.kind not in (HULL, BOX) or len(parts) == 1:
         pieces.append(spec)
-        return [Piece(part, inflation, len(pieces) - 1) for part in parts]
+        return [Piece(part, spec.inflation, len(pieces) - 1) for part in parts]
     leaves = []
     for part in parts:
-        pieces.append(ShapeSpec(HULL, (), part, np.eye(4), spec.inflation))
-        leaves.append(Piece(part, inflation, len(pieces) - 1))
+        pieces.append(ShapeSpec(HULL, np.eye(4), vertices=part, inflation=spec.inflation))
+        leaves.append(Piece(part, spec.inflation, len(pieces) - 1))
     return leaves
 
 
 def scene_geometry(
-    specs: Sequence[ShapeSpec], clouds: Sequence[Cloud], reach: float, cell: float = CELL
+    specs: Sequence[ShapeSpec], clouds: Sequence[Cloud], reach: float, cell: float
 ) -> SceneGeometry:
-    """Obstacles and clouds with a grid of cells over a cube of half edge `reach` [m].
+    """Pack obstacles and clouds, and make their distance grid.
 
-    Balls outside the grid, or larger than `REACH`, are compared with every item: correct, but slow.
+    Balls outside the grid, or larger than `GRID_REACH_M`, are compared with every item: correct,
+    but slow.
+
+    Args:
+        specs: obstacles, posed in the world.
+        clouds: points or cells.
+        reach: half edge of the grid's cube [m].
+        cell: edge of the grid's cells [m].
     """
     clusters = [cluster_primitives(cloud, cell) for cloud in clouds if len(cloud.centre)]
-    solid, boxes = (
-        pack_shapes(specs),
-        np.concatenate([np.empty((0, COLUMNS)), *(it.bounds for it in clusters)]),
-    )
+    solid = pack_shapes(specs)
+    boxes = np.concatenate([np.empty((0, BOUNDS_COLUMNS)), *(it.bounds for it in clusters)])
     none = np.zeros(len(boxes), dtype=np.int64)
     parts = (
         np.full(len(boxes), BOX),
-        boxes[:, HALF:INFLATION],
-        boxes[:, INFLATION],
-        boxes[:, :CENTRE].reshape(-1, 3, 3),
-        boxes[:, CENTRE:HALF],
+        boxes[:, BOUNDS_HALF:BOUNDS_INFLATION],
+        boxes[:, BOUNDS_INFLATION],
+        boxes[:, :BOUNDS_CENTRE].reshape(-1, 3, 3),
+        boxes[:, BOUNDS_CENTRE:BOUNDS_HALF],
         none,
         none,
     )
@@ -229,13 +226,14 @@ def scene_geometry(
 
 
 def _bounds(specs: Sequence[ShapeSpec], packed: ConvexShapes) -> np.ndarray:
-    """Oriented boxes (n, COLUMNS) around shapes, inflated; exact for boxes and spheres."""
+    """Oriented boxes (n, BOUNDS_COLUMNS) around shapes, inflated; exact for boxes and spheres."""
     turns = packed.rotation.reshape(-1, 9)
     bounds = np.column_stack([turns, packed.translation, packed.size, packed.radius])
     for row, spec in zip(bounds, specs, strict=True):
         if spec.kind == HULL:
             low, high = spec.vertices.min(axis=0), spec.vertices.max(axis=0)
             R, t = spec.T_owner_shape[:3, :3], spec.T_owner_shape[:3, 3]
-            row[:CENTRE], row[CENTRE:HALF] = R.ravel(), R @ (0.5 * (low + high)) + t
-            row[HALF:INFLATION] = 0.5 * (high - low)
+            row[:BOUNDS_CENTRE] = R.ravel()
+            row[BOUNDS_CENTRE:BOUNDS_HALF] = R @ (0.5 * (low + high)) + t
+            row[BOUNDS_HALF:BOUNDS_INFLATION] = 0.5 * (high - low)
     return bounds

@@ -1,10 +1,10 @@
 """Separation of two convex shapes by GJK (Gilbert, Johnson and Keerthi 1988), in scalars.
 
-Only measured slabs count: "separated" is proven. The inner step finds the nearest point to the
-origin on a simplex of up to four points, by the Voronoi-region tests in Ericson, "Real-Time
-Collision Detection", section 5.1. Its functions return ``(n, p0, p1, p2, v)``: the smallest face
-that carries the nearest point (its first n points count) and that point v. Points are tuples of
-three floats [m].
+"Separated" is proven: it is returned only where an empty slab between both shapes was measured. The
+inner step finds the nearest point to the origin on a simplex of up to four points, by the
+Voronoi-region tests in Ericson, "Real-Time Collision Detection", section 5.1. Its functions return
+``(n, p0, p1, p2, v)``: the smallest face that carries the nearest point (its first n points count)
+and that point v. Points are tuples of three floats [m].
 """
 
 from typing import Annotated, NamedTuple
@@ -13,8 +13,9 @@ import numpy as np
 
 from cvqmpt_lab.base.jit import kernel
 
-_ORIGIN = (0.0, 0.0, 0.0)
-_FLAT = 1e-12
+HULL, BOX, CYLINDER, SPHERE = 0, 1, 2, 3  # kinds of convex shapes
+MAX_HULL_VERTICES = 1 << 16
+IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)  # a pose
 
 
 @kernel
@@ -82,12 +83,16 @@ def _nearest_on_triangle(a, b, c):
 
 @kernel
 def _beyond_face(a, b, c, opposite):
-    """Whether the origin may lie beyond face abc, seen from the opposite corner (flat: yes)."""
+    """Whether the origin may lie beyond face abc, seen from the opposite corner.
+
+    Also true of a tetrahedron so flat that rounding decides.
+    """
     normal = _cross(_minus(b, a), _minus(c, a))
     side_origin = -dot(a, normal)
     side_opposite = dot(_minus(opposite, a), normal)
     scale = dot(normal, normal)
-    if side_opposite * side_opposite <= _FLAT * scale * dot(opposite, opposite):
+    # the height over the face is at most 1e-6 of the corner's distance from the origin
+    if side_opposite * side_opposite <= 1e-12 * scale * dot(opposite, opposite):
         return True
     return side_origin * side_opposite < 0.0
 
@@ -95,7 +100,7 @@ def _beyond_face(a, b, c, opposite):
 @kernel
 def _nearest_on_tetrahedron(a, b, c, d):
     """Nearest point on tetrahedron abcd, where d is the newest corner; n = 4 when it encloses."""
-    found, best = (4, a, b, c, _ORIGIN), np.inf
+    found, best = (4, a, b, c, (0.0, 0.0, 0.0)), np.inf
     for p, q, opposite in ((a, b, c), (b, c, a), (c, a, b)):
         if _beyond_face(d, p, q, opposite):
             face = _nearest_on_triangle(d, p, q)
@@ -115,14 +120,6 @@ def nearest_on_simplex(n, p0, p1, p2, newest):
     if n == 2:
         return _nearest_on_triangle(newest, p0, p1)
     return _nearest_on_tetrahedron(p0, p1, p2, newest)
-
-
-HULL, BOX, CYLINDER, SPHERE = 0, 1, 2, 3
-MAX_HULL_VERTICES = 1 << 16
-_INDEX_MASK = np.int64(MAX_HULL_VERTICES - 1)
-_VALUE_MASK = ~_INDEX_MASK
-_MAX_ITERATIONS = 64
-IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 
 
 class ConvexShapes(NamedTuple):
@@ -146,90 +143,37 @@ class ConvexShapes(NamedTuple):
 
 @kernel(inline="machine")
 def _hull_support(x, y, z, size, d):
-    """The vertex s_H(d) = argmax_x x . d among x, y, z (n,), to about 1e-10 of the hull's size.
+    """Vertex s_H(d) = argmax_x x . d among x, y, z (n,), to about 1e-10 of the hull's size.
 
     The low bits of each (positive) projection hold the index of its vertex: the search becomes a
     maximum of integers, the only form that compiles to vector instructions.
+
+    Args:
+        x: coordinates of the vertices (n,) [m].
+        y: (n,) [m].
+        z: (n,) [m].
+        size: largest |x|, |y|, |z| of the vertices, 3-tuple [m].
+        d: direction, 3-tuple.
     """
+    index_mask = np.int64(MAX_HULL_VERTICES - 1)
     offset = 1.001 * (size[0] * abs(d[0]) + size[1] * abs(d[1]) + size[2] * abs(d[2])) + 1e-200
     best = np.int64(0)
     for i in range(x.shape[0]):
         projection = np.float64(x[i] * d[0] + y[i] * d[1] + z[i] * d[2] + offset)
-        best = max(best, (projection.view(np.int64) & _VALUE_MASK) | i)
-    k = min(best & _INDEX_MASK, x.shape[0] - 1)
+        best = max(best, (projection.view(np.int64) & ~index_mask) | i)
+    k = min(best & index_mask, x.shape[0] - 1)
     return x[k], y[k], z[k]
 
 
-@kernel(inline="machine")
-def _core_support(kind, size, x, y, z, d):
-    """The point of a core, in its own frame, farthest along d (3 scalars)."""
-    if kind == HULL:
-        return _hull_support(x, y, z, size, d)
-    if kind == BOX:
-        return np.copysign(size[0], d[0]), np.copysign(size[1], d[1]), np.copysign(size[2], d[2])
-    if kind == CYLINDER:
-        length = np.sqrt(d[0] * d[0] + d[1] * d[1])
-        scale = size[0] / length if length > 0.0 else 0.0
-        return scale * d[0], scale * d[1], np.copysign(size[2], d[2])
-    return 0.0, 0.0, 0.0
+class Core(NamedTuple):
+    """One shape of `ConvexShapes` without its inflation, posed."""
 
-
-@kernel(inline="machine")
-def _posed_support(kind, size, x, y, z, pose, d):
-    """The point of a posed core farthest along d; pose: 9 rotation entries by rows, then 3."""
-    local = (
-        pose[0] * d[0] + pose[3] * d[1] + pose[6] * d[2],
-        pose[1] * d[0] + pose[4] * d[1] + pose[7] * d[2],
-        pose[2] * d[0] + pose[5] * d[1] + pose[8] * d[2],
-    )
-    s = _core_support(kind, size, x, y, z, local)
-    return (
-        pose[0] * s[0] + pose[1] * s[1] + pose[2] * s[2] + pose[9],
-        pose[3] * s[0] + pose[4] * s[1] + pose[5] * s[2] + pose[10],
-        pose[6] * s[0] + pose[7] * s[1] + pose[8] * s[2] + pose[11],
-    )
-
-
-@kernel
-def _gjk(
-    ka, size_a, xa, ya, za, pose_a, kb, size_b, xb, yb, zb, pose_b, axis, above, below, tolerance
-):
-    """The widest slab between two cores [m]: GJK.
-
-    With supports s_A, s_B and a direction v from B towards A, the empty slab across v is
-
-        gap(v) = v . (s_A(-v) - s_B(v)) / |v|
-
-    The next v is the point nearest to the origin on the simplex of the last s_A - s_B. See
-    `separating_gap` for when it stops.
-    """
-    v = axis
-    n = np.int64(0)
-    p0 = p1 = p2 = axis
-    widest = -np.inf
-    known = False
-    for _ in range(_MAX_ITERATIONS):
-        length = np.sqrt(dot(v, v))
-        away = (-v[0], -v[1], -v[2])
-        if ka == HULL:
-            a = _hull_support(xa, ya, za, size_a, away)
-        else:
-            a = _posed_support(ka, size_a, xa, ya, za, pose_a, away)
-        b = _posed_support(kb, size_b, xb, yb, zb, pose_b, v)
-        w = (a[0] - b[0], a[1] - b[1], a[2] - b[2])
-        gap = dot(v, w) / length if length > 0.0 else -np.inf
-        if gap > widest:
-            widest = gap
-            if gap > above:
-                return widest
-        if known and not length - gap > tolerance:
-            return widest
-        n, p0, p1, p2, v = nearest_on_simplex(n, p0, p1, p2, w)
-        length2 = dot(v, v)
-        if n == 4 or not length2 > below * below or (known and length2 >= length * length):
-            return widest
-        known = True
-    return widest
+    kind: np.int64  # HULL, BOX, CYLINDER or SPHERE
+    size: tuple[float, float, float]  # as of `ConvexShapes` [m]
+    x: np.ndarray  # (n,) coordinates of a hull's vertices; of other shapes (0,) [m]
+    y: np.ndarray
+    z: np.ndarray
+    pose: tuple[float, ...]  # 9 rotation entries by rows, then 3 of translation [m]
 
 
 @kernel(inline="machine")
@@ -252,90 +196,134 @@ def compose(r, t, pose):
 
 
 @kernel(inline="machine")
-def _core_gap(a, i, kind, size, x, y, z, pose, axis, above, below, tolerance):
-    """`_gjk` of the core of shape i of a, posed in its owner's frame, and of another core."""
-    start, count = a.vertex_start[i], a.vertex_count[i]
-    pose_a = IDENTITY if a.kind[i] == HULL else compose(a.rotation[i], a.translation[i], IDENTITY)
-    return _gjk(
-        a.kind[i],
-        (a.size[i, 0], a.size[i, 1], a.size[i, 2]),
-        a.vertices[0, start : start + count],
-        a.vertices[1, start : start + count],
-        a.vertices[2, start : start + count],
-        pose_a,
-        kind,
-        size,
-        x,
-        y,
-        z,
-        pose,
-        axis,
-        above,
-        below,
-        tolerance,
+def _core(shapes, i, pose):
+    """Core of shape i; pose: of its owner (12-tuple)."""
+    start, count = shapes.vertex_start[i], shapes.vertex_count[i]
+    return Core(
+        shapes.kind[i],
+        (shapes.size[i, 0], shapes.size[i, 1], shapes.size[i, 2]),
+        shapes.vertices[0, start : start + count],
+        shapes.vertices[1, start : start + count],
+        shapes.vertices[2, start : start + count],
+        pose
+        if shapes.kind[i] == HULL
+        else compose(shapes.rotation[i], shapes.translation[i], pose),
     )
 
 
 @kernel(inline="machine")
-def separating_gap(a, i, b, j, pose, axis, above, below, tolerance):
-    """The widest empty slab found between shape i of a and shape j of b [m].
+def _support(core, d):
+    """Point of a core, in its own frame, farthest along d (3-tuple)."""
+    size = core.size
+    if core.kind == HULL:
+        return _hull_support(core.x, core.y, core.z, size, d)
+    if core.kind == BOX:
+        return np.copysign(size[0], d[0]), np.copysign(size[1], d[1]), np.copysign(size[2], d[2])
+    if core.kind == CYLINDER:
+        length = np.sqrt(d[0] * d[0] + d[1] * d[1])
+        scale = size[0] / length if length > 0.0 else 0.0
+        return scale * d[0], scale * d[1], np.copysign(size[2], d[2])
+    return 0.0, 0.0, 0.0
 
-    A positive gap is certified: the slab was measured with the support points of both shapes. Zero
-    or less means that no slab was found.
+
+@kernel(inline="machine")
+def _posed_support(core, d):
+    """Point of a posed core farthest along d (3-tuple)."""
+    pose = core.pose
+    local = (
+        pose[0] * d[0] + pose[3] * d[1] + pose[6] * d[2],
+        pose[1] * d[0] + pose[4] * d[1] + pose[7] * d[2],
+        pose[2] * d[0] + pose[5] * d[1] + pose[8] * d[2],
+    )
+    s = _support(core, local)
+    return (
+        pose[0] * s[0] + pose[1] * s[1] + pose[2] * s[2] + pose[9],
+        pose[3] * s[0] + pose[4] * s[1] + pose[5] * s[2] + pose[10],
+        pose[6] * s[0] + pose[7] * s[1] + pose[8] * s[2] + pose[11],
+    )
+
+
+@kernel
+def _widest_slab(a, b, axis, limit):
+    """Width [m] of the widest empty slab found between two cores by GJK.
+
+    With supports s_A, s_B and a direction v from B towards A, the empty slab across v is
+
+        gap(v) = v . (s_A(-v) - s_B(v)) / |v|
+
+    The next v is the point nearest to the origin on the simplex of the last s_A - s_B. Stops when a
+    slab is wider than the limit, when the distance of the cores is known to be at most the limit,
+    or when the widest slab is within 1e-9 m of the distance.
+
+    Args:
+        a: a core; a hull must be in its owner's frame (its pose is not applied).
+        b: another core.
+        axis: first direction, 3-tuple from b towards a of any length.
+        limit: width to decide about [m].
+
+    Returns:
+        The width; zero or less where no slab was found.
+    """
+    v = axis
+    n = np.int64(0)
+    p0 = p1 = p2 = axis
+    widest = -np.inf
+    known = False
+    for _ in range(64):  # a few are enough but for rounding
+        length = np.sqrt(dot(v, v))
+        away = (-v[0], -v[1], -v[2])
+        s_a = _support(a, away) if a.kind == HULL else _posed_support(a, away)
+        s_b = _posed_support(b, v)
+        w = (s_a[0] - s_b[0], s_a[1] - s_b[1], s_a[2] - s_b[2])
+        gap = dot(v, w) / length if length > 0.0 else -np.inf
+        if gap > widest:
+            widest = gap
+            if gap > limit:
+                return widest
+        if known and not length - gap > 1e-9:
+            return widest
+        n, p0, p1, p2, v = nearest_on_simplex(n, p0, p1, p2, w)
+        length2 = dot(v, v)
+        if n == 4 or not length2 > limit * limit or (known and length2 >= length * length):
+            return widest
+        known = True
+    return widest
+
+
+@kernel(inline="machine")
+def separated(a, i, b, j, pose, axis, margin):
+    """Whether a slab wider than margin separates two shapes.
+
+    True is certified: the slab was measured with the support points of both shapes.
 
     Args:
         a: shapes.
         i: number of a shape of a.
         b: shapes.
         j: number of a shape of b.
-        pose: of b's owner in a's owner's frame, 12-tuple: rotation by rows, then translation [m].
+        pose: of b's owner in the frame of a's owner (12-tuple).
         axis: first direction, 3-tuple from b towards a of any length, in the frame of a's owner.
-        above: stop when a slab is wider [m].
-        below: stop when the distance is known to be at most this [m].
-        tolerance: stop when the gap is so close to the distance [m].
+        margin: [m].
     """
     inflation = a.radius[i] + b.radius[j]
-    start, count = b.vertex_start[j], b.vertex_count[j]
-    pose_b = pose if b.kind[j] == HULL else compose(b.rotation[j], b.translation[j], pose)
-    gap = _core_gap(
-        a,
-        i,
-        b.kind[j],
-        (b.size[j, 0], b.size[j, 1], b.size[j, 2]),
-        b.vertices[0, start : start + count],
-        b.vertices[1, start : start + count],
-        b.vertices[2, start : start + count],
-        pose_b,
-        axis,
-        above + inflation,
-        below + inflation,
-        tolerance,
-    )
-    return gap - inflation
-
-
-@kernel(inline="machine")
-def separated(a, i, b, j, pose, axis, margin):
-    """Whether a slab wider than margin [m] separates shape i of a from shape j of b."""
-    return separating_gap(a, i, b, j, pose, axis, margin, margin, 1e-9) > margin
-
-
-@kernel
-def distance(a, i, b, j, pose, axis, tolerance):
-    """Lower bound [m] on the distance of two shapes, within tolerance; 0 in contact."""
-    return max(separating_gap(a, i, b, j, pose, axis, np.inf, 0.0, tolerance), 0.0)
+    widest = _widest_slab(_core(a, i, IDENTITY), _core(b, j, pose), axis, margin + inflation)
+    return widest - inflation > margin
 
 
 @kernel(inline="machine")
 def box_separated(a, i, half, radius, pose, axis, margin):
-    """Whether a slab wider than margin [m] separates shape i of a from an inflated box.
+    """Whether a slab wider than margin separates shape i of a from an inflated box.
 
-    half, radius: half edges (3 floats) and inflation of the box [m]; of a ball the edges are zero.
-    pose: of the box in the frame of a's owner (12-tuple).
+    Args:
+        a: shapes.
+        i: number of a shape of a.
+        half: half edges of the box, 3-tuple [m]; zero for a ball.
+        radius: inflation of the box [m].
+        pose: of the box in the frame of a's owner (12-tuple).
+        axis: first direction, as in `separated`.
+        margin: [m].
     """
     none = a.vertices[0, :0]
+    box = Core(np.int64(BOX), half, none, none, none, pose)
     limit = margin + (a.radius[i] + radius)
-    return (
-        _core_gap(a, i, np.int64(BOX), half, none, none, none, pose, axis, limit, limit, 1e-9)
-        > limit
-    )
+    return _widest_slab(_core(a, i, IDENTITY), box, axis, limit) > limit

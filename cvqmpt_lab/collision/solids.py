@@ -9,7 +9,7 @@ import numpy as np
 from cvqmpt_lab.scene.cells import blocks_of
 from cvqmpt_lab.scene.coal_shapes import coal_shape
 from cvqmpt_lab.scene.scene import Scene
-from cvqmpt_lab.scene.shapes import Measured, PointCloud, Shape, bounding_radius
+from cvqmpt_lab.scene.shapes import Measured, PointCloud, Shape
 
 
 class Solid(NamedTuple):
@@ -24,7 +24,7 @@ def obstacles_within(scene: Scene, reach: float) -> Iterator[Solid]:
     """The obstacles of a scene that something within reach [m] of the world's origin can touch."""
     for item in scene.obstacles:
         position = float(np.linalg.norm(item.T_world_object[:3, 3]))
-        if isinstance(item.shape, Measured) or position - bounding_radius(item.shape) <= reach:
+        if isinstance(item.shape, Measured) or position - item.shape.bounding_radius <= reach:
             yield from solids(item.name, item.shape, item.T_world_object, reach)
 
 
@@ -36,14 +36,12 @@ def solids(name: str, shape: Shape, T: np.ndarray, reach: float = np.inf) -> Ite
     if not isinstance(shape, Measured):
         yield Solid(name, coal_shape(shape), T)
         return
-    low, high, padding = blocks_of(shape, T, reach)
-    poses = np.tile(T, (len(low), 1, 1))
-    poses[:, :3, 3] += 0.5 * (low + high) @ T[:3, :3].T
-    ball, edges = coal.Sphere(padding), high - low
-    numbered = isinstance(shape, PointCloud) and len(low) == len(shape.points)
-    for k, (is_box, T_block) in enumerate(zip(edges.any(axis=1).tolist(), poses, strict=True)):
+    blocks = blocks_of(shape, T, reach)
+    ball, edges = coal.Sphere(blocks.padding), blocks.high - blocks.low
+    numbered = isinstance(shape, PointCloud) and len(edges) == len(shape.points)
+    for k, T_block in enumerate(blocks.poses(T)):
         core = ball
-        if is_box:
+        if edges[k].any():
             core = coal.Box(edges[k])
-            core.setSweptSphereRadius(padding)
+            core.setSweptSphereRadius(blocks.padding)
         yield Solid(f"{name}/{k}" if numbered else name, core, T_block)

@@ -273,11 +273,11 @@ def _add_shape(part: Element, assets: Element, body: Body) -> Element:
     """Add a geom with the shape of a body."""
     name = f"{body.name}_geom"
     match body.shape:
-        case Box(size):
-            sizes = numbers_text(0.5 * np.array(size))
+        case Box():
+            sizes = numbers_text(body.shape.half)
             return SubElement(part, "geom", name=name, type="box", size=sizes)
-        case Cylinder(radius, height):
-            sizes = numbers_text(np.array([radius, 0.5 * height]))
+        case Cylinder():
+            sizes = numbers_text(body.shape.half[1:])
             return SubElement(part, "geom", name=name, type="cylinder", size=sizes)
         case Sphere(radius):
             return SubElement(part, "geom", name=name, type="sphere", size=repr(radius))

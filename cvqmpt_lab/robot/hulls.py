@@ -7,7 +7,7 @@ they overlap in nearly every random configuration. The result depends on the rob
 
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping, Sequence
-from itertools import combinations, product
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,13 @@ import pinocchio as pin
 from cvqmpt_lab.base.caches import cached_arrays, sources_digest
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.base.files import read_text
+from cvqmpt_lab.geometry.convex import (
+    box_corners,
+    polytope_around_ball,
+    prism_around,
+    require_near,
+    require_volume,
+)
 from cvqmpt_lab.robot.kinematics import Kinematics, link_poses
 from cvqmpt_lab.robot.robot import LeftOut, LinkGeometry, in_link
 from cvqmpt_lab.robot.urdf import Urdf
@@ -118,33 +125,7 @@ def _are_polytope(points: np.ndarray, corners: np.ndarray) -> bool:
     )
 
 
-def _require_near(points: np.ndarray, what: str, farthest: float = 1e4) -> None:
-    """Refuse vertices (n, 3) [m] with a coordinate beyond `farthest` [m]."""
-    far = float(np.abs(points).max())
-    if not far <= farthest:
-        raise InvalidInputError(
-            f"{what} has a vertex at {far:.3g} m, beyond {farthest:g}: give metres"
-        )
-
-
-def require_volume(points: np.ndarray, what: str, thinnest: float = 1e-6) -> None:
-    """Refuse points (n, 3) [m] far from the origin or of a flat hull: Qhull would end the process.
-
-    thinnest: smallest thickness [m] of points up to 1 m across; it grows in proportion with size.
-    """
-    _require_near(points, what)
-    centred = points - points.mean(axis=0)
-    along = np.ptp(centred @ np.linalg.svd(centred, full_matrices=False)[2].T, axis=0)
-    thickness = float(along.min()) if len(points) > 3 else 0.0
-    least = thinnest * max(1.0, float(along.max()))
-    if not thickness >= least:
-        raise InvalidInputError(
-            f"{what} is {thickness:.2g} m thick, less than {least:.2g}: give a mesh with volume, "
-            "or a box"
-        )
-
-
-def convex_hull(points: np.ndarray) -> coal.CollisionGeometry:
+def coal_hull(points: np.ndarray) -> coal.CollisionGeometry:
     """Return coal's convex hull of points (n, 3) [m]; InvalidInputError if it has no volume."""
     require_volume(points, "a convex mesh")
     listed = coal.StdVec_Vec3s()
@@ -156,7 +137,7 @@ def link_geometry(item: pin.GeometryObject, frames: list[np.ndarray]) -> LinkGeo
     """Return a convex piece as arrays; frames: result of `axis_frames`."""
     link, T_link_geometry = in_link(frames, item.parentJoint, item.placement)
     vertices = hull_vertices(item.geometry)
-    _require_near(vertices, f"collision shape {item.name}")
+    require_near(vertices, f"collision shape {item.name}")
     return LinkGeometry(item.name, link, T_link_geometry, vertices)
 
 
@@ -165,21 +146,25 @@ def hull_vertices(shape: coal.CollisionGeometry) -> np.ndarray:
 
     A cylinder or capsule is inside a prism of 24 sides, a sphere inside a polytope of 98 vertices.
     """
-    corners = np.array(list(product((-1.0, 1.0), repeat=3)))
     match shape:
         case coal.ConvexBase():
             return np.array(shape.points(), dtype=float).reshape(-1, 3)
         case coal.Box():
-            return corners * shape.halfSide
+            return box_corners(-shape.halfSide, shape.halfSide)
         case coal.Sphere():
-            return ball_vertices(shape.radius)
+            return polytope_around_ball(shape.radius)
         case coal.Cylinder():
-            return prism_vertices(shape.radius, shape.halfLength)
+            return _prism(shape.radius, shape.halfLength)
         case coal.Capsule():
-            return prism_vertices(shape.radius, shape.halfLength + shape.radius)
+            return _prism(shape.radius, shape.halfLength + shape.radius)
     raise InvalidInputError(
         f"collision shape {type(shape).__name__} is not supported: use a mesh, box or cylinder"
     )
+
+
+def _prism(radius: float, half_length: float) -> np.ndarray:
+    """Vertices (48, 3) [m] of a prism around a cylinder along z, centred on its frame."""
+    return prism_around(radius, (-half_length, half_length), sides=24)
 
 
 def enclosing_points(shape: coal.CollisionGeometry) -> np.ndarray:
@@ -188,29 +173,7 @@ def enclosing_points(shape: coal.CollisionGeometry) -> np.ndarray:
         return hull_vertices(shape)
     shape.computeLocalAABB()
     box = shape.aabb_local
-    return np.array(list(product(*zip(box.min_, box.max_, strict=True))))
-
-
-def prism_vertices(radius: float, half_length: float, sides: int = 24) -> np.ndarray:
-    """Return the vertices (2 sides, 3) [m] of a prism around a cylinder along z.
-
-    Its edges have the distance radius / cos(pi / sides) from the axis: its sides touch the
-    cylinder.
-    """
-    angle = 2.0 * np.pi * np.arange(sides) / sides
-    ring = radius / np.cos(np.pi / sides) * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    return np.concatenate([np.c_[ring, np.full(sides, z)] for z in (-half_length, half_length)])
-
-
-def ball_vertices(radius: float) -> np.ndarray:
-    """Return the vertices (98, 3) [m] of a polytope around a ball, at radius / 0.965.
-
-    They are a grid on the faces of a cube, projected to a sphere. The corners of a box would be at
-    1.73 radii.
-    """
-    grid = [p for p in product(range(-2, 3), repeat=3) if max(map(abs, p)) == 2]
-    points = np.tan(np.pi / 8 * np.array(grid))
-    return radius / 0.965 * points / np.linalg.norm(points, axis=1)[:, None]
+    return box_corners(box.min_, box.max_)
 
 
 # start of the reason why a pair is not checked: overlap in a share of random configurations

@@ -16,7 +16,8 @@ from cvqmpt_lab.base.codec import Checked, to_plain
 from cvqmpt_lab.base.errors import InvalidInputError, require_choice, unique
 from cvqmpt_lab.base.poses import Pose
 from cvqmpt_lab.base.values import Array, FloatArray, Length, Name
-from cvqmpt_lab.robot.hulls import convex_hull, link_geometry, require_volume
+from cvqmpt_lab.geometry.convex import require_volume
+from cvqmpt_lab.robot.hulls import coal_hull, link_geometry
 from cvqmpt_lab.robot.robot import LeftOut, Robot, axis_frames, kinematics_arrays
 
 
@@ -86,7 +87,7 @@ def with_articulated_object(robot: Robot, item: ArticulatedObject) -> Robot:
     arm = range(geometry.ngeoms)
     for carrier, pieces in ((joint, item.parts), (0, item.casing)):
         for piece in pieces:
-            hull = convex_hull(piece.vertices)
+            hull = coal_hull(piece.vertices)
             added = pin.GeometryObject(piece.name, carrier, pin.SE3(piece.T), hull)
             geometry.addGeometryObject(added)
     objects = geometry.geometryObjects

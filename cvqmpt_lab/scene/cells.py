@@ -19,6 +19,12 @@ class Blocks(NamedTuple):
     high: np.ndarray  # (b, 3) greatest corners [m]
     padding: float  # inflation radius [m]
 
+    def poses(self, T_parent_shape: np.ndarray) -> np.ndarray:
+        """Poses (b, 4, 4) of their centres for a pose (4, 4) of the shape [m]."""
+        poses = np.tile(T_parent_shape, (len(self.low), 1, 1))
+        poses[:, :3, 3] += 0.5 * (self.low + self.high) @ T_parent_shape[:3, :3].T
+        return poses
+
 
 class Cells(NamedTuple):
     """Boxes of one or more grid cells, and the bounds of the points in each box."""

@@ -6,7 +6,7 @@ import coal
 import numpy as np
 
 from cvqmpt_lab.robot.dynamics import Load
-from cvqmpt_lab.robot.hulls import coal_distance, convex_hull
+from cvqmpt_lab.robot.hulls import coal_distance, coal_hull
 from cvqmpt_lab.scene.scene import Attachment
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, PointCloud, Shape, Sphere
 
@@ -20,7 +20,7 @@ COAL_SHAPES = {
     Box: lambda box: coal.Box(*box.size),
     Cylinder: lambda cylinder: coal.Cylinder(cylinder.radius, cylinder.height),
     Sphere: lambda sphere: coal.Sphere(sphere.radius),
-    ConvexMesh: lambda mesh: convex_hull(mesh.vertices),
+    ConvexMesh: lambda mesh: coal_hull(mesh.vertices),
 }
 
 

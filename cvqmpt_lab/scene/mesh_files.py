@@ -11,23 +11,30 @@ import io
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property, partial
-from itertools import product
 from pathlib import Path
 
 import numpy as np
 import trimesh
 from scipy import ndimage
-from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
+from scipy.spatial import ConvexHull
 
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.base.values import FloatArray
+from cvqmpt_lab.geometry.convex import (
+    box_corners,
+    few_vertices_around,
+    hull_volume,
+    planes_around,
+    principal_axes,
+    require_volume,
+    thickness,
+)
 from cvqmpt_lab.robot.urdf import collada_unit
 from cvqmpt_lab.scene.cloud_files import check_lengths, parsing, read_by_suffix
-from cvqmpt_lab.scene.shapes import MIN_THICKNESS_M, check_volume, thickness
+from cvqmpt_lab.scene.shapes import MIN_THICKNESS_M
 
 MAX_TRIANGLES = 200_000  # of a file
 MAX_MESH_PIECES = 48
-MAX_HULL_VERTICES = 120
 
 
 class FilledCells:
@@ -148,7 +155,7 @@ class Piece:
     @cached_property
     def hull(self) -> ConvexHull:
         """Hull [m] of the surface and the solid corners of the box, at least `MIN_THICKNESS_M`."""
-        corners = np.array(list(product(*zip(self.low, self.high, strict=True))))
+        corners = box_corners(self.low, self.high)
         inside = corners[self.solid.holds(corners)]
         points = np.concatenate([self.triangles.reshape(-1, 3), inside])
         if len(points) < 4 or thickness(points) < 2.0 * MIN_THICKNESS_M:
@@ -183,7 +190,7 @@ class Piece:
         for axis_now, at_now in self._cuts():
             sides = _sides(sketch, axis_now, at_now)
             void = area(axis_now, at_now) * (self.high - self.low)[axis_now]
-            cost = (sum(map(_volume, sides)) - through_void * void) / whole
+            cost = (sum(map(hull_volume, sides)) - through_void * void) / whole
             if min(map(len, sides)) > 0 and cost < best:
                 best, axis, at = cost, axis_now, at_now
         if not np.isfinite(best):
@@ -250,7 +257,7 @@ def convex_pieces(triangles: FloatArray, enough: float = 0.02) -> tuple[FloatArr
     flat = 1e-12 * edges.max(axis=1) ** 2
     triangles = triangles[trimesh.triangles.area(triangles) > flat]
     points = triangles.reshape(-1, 3)
-    check_volume(points, "the corners of the mesh")
+    require_volume(points, "the mesh", MIN_THICKNESS_M)
     closed = as_mesh(triangles).is_watertight or as_mesh(without_points).is_watertight
     whole = Piece(triangles, points.min(axis=0), points.max(axis=0), FilledCells(triangles, closed))
     most = enough * whole.hull.volume
@@ -266,7 +273,7 @@ def convex_pieces(triangles: FloatArray, enough: float = 0.02) -> tuple[FloatArr
             parts += halves
         else:
             final += halves
-    return tuple(of_few_vertices(part.hull) for part in (*parts, *final))
+    return tuple(few_vertices_around(part.hull) for part in (*parts, *final))
 
 
 def as_mesh(triangles: FloatArray) -> trimesh.Trimesh:
@@ -295,46 +302,6 @@ def _sides(triangles: FloatArray, axis: int, at: float) -> tuple[FloatArray, Flo
     return np.concatenate(low), np.concatenate([triangles[before >= 0.0], between])
 
 
-def _volume(points: FloatArray) -> float:
-    """Return the volume [m^3] of the hull of points (k, 3) [m]; 0 if they are flat."""
-    try:
-        return float(ConvexHull(points).volume) if len(points) > 3 else 0.0
-    except QhullError:
-        return 0.0
-
-
-def of_few_vertices(hull: ConvexHull) -> FloatArray:
-    """Return the vertices (k, 3) [m] of a hull, or of a polytope of fewer faces that contains it.
-
-    A hull of more than `MAX_HULL_VERTICES` keeps only some of its faces, see `planes_around`.
-    """
-    vertices = hull.points[hull.vertices]
-    if len(vertices) <= MAX_HULL_VERTICES:
-        return vertices
-    corners = HalfspaceIntersection(planes_around(hull), vertices.mean(axis=0)).intersections
-    return corners[ConvexHull(corners).vertices]
-
-
-def planes_around(hull: ConvexHull, most: int = 62, slack: float = 1e-9) -> FloatArray:
-    """Return planes (p, 4) around a hull: outward normals and offsets [m].
-
-    A hull of more than `MAX_HULL_VERTICES` gets about `most` planes, `slack` [m] outside of it
-    because of rounding.
-    """
-    if len(hull.vertices) <= MAX_HULL_VERTICES:
-        return hull.equations
-    normals, vertices = hull.equations[:, :3], hull.points[hull.vertices]
-    chosen = [*np.eye(3), *-np.eye(3)]
-    nearest = np.max(normals @ np.array(chosen).T, axis=1)
-    while len(chosen) < most:
-        # the normal farthest from the chosen ones
-        chosen.append(normals[np.argmin(nearest)])
-        nearest = np.maximum(nearest, normals @ chosen[-1])
-    planes = np.unique(np.array(chosen), axis=0)
-    reach = (vertices @ planes.T).max(axis=0) + slack
-    return np.c_[planes, -reach]
-
-
 def spread_points(triangles: FloatArray, count: int, most: int = 400_000) -> FloatArray:
     """Return `count` points, at most `most`, spread over triangles (f, 3, 3) evenly by area."""
     count = min(count, most)
@@ -350,14 +317,13 @@ def spread_points(triangles: FloatArray, count: int, most: int = 400_000) -> Flo
 
 def _thickened(points: FloatArray) -> FloatArray:
     """Return points (2 k, 3) whose hull contains any given points and is thick enough."""
-    centred = points - points.mean(axis=0)
-    turned = np.linalg.eigh(centred.T @ centred)[1].T  # rows: the thinnest direction first
+    turned = principal_axes(points).T
     low, high = (points @ turned.T).min(axis=0), (points @ turned.T).max(axis=0)
     gap = np.maximum(0.0, 2.0 * MIN_THICKNESS_M - (high - low)) / 2.0
     if (gap[1:] > 0.0).any():
         # the points are on a line or equal: a box around them
         low, high = low - gap, high + gap
-        return np.array(list(product(*zip(low, high, strict=True)))) @ turned
+        return box_corners(low, high) @ turned
     return np.concatenate([points - gap[0] * turned[0], points + gap[0] * turned[0]])
 
 

@@ -21,7 +21,7 @@ from cvqmpt_lab.base.codec import Checked, from_plain
 from cvqmpt_lab.base.errors import InvalidInputError, UnknownChoiceError, at, shown, unique
 from cvqmpt_lab.base.poses import Pose, pose
 from cvqmpt_lab.base.values import FloatArray, Mass, Name
-from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Measured, OccupancyMap, Shape, bounding_radius
+from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Measured, OccupancyMap, Shape
 
 
 @dataclass(frozen=True, eq=False)
@@ -281,8 +281,8 @@ def distance(item: SceneObject) -> float:
     if isinstance(item.shape, Box):
         T = item.T_world_object
         # the origin in the box's frame, up to the sign
-        beyond = np.abs(T[:3, 3] @ T[:3, :3]) - 0.5 * np.array(item.shape.size)
+        beyond = np.abs(T[:3, 3] @ T[:3, :3]) - item.shape.half
         return float(np.linalg.norm(np.maximum(beyond, 0.0)))
     return max(
-        math.dist(item.T_world_object[:3, 3], (0.0, 0.0, 0.0)) - bounding_radius(item.shape), 0.0
+        math.dist(item.T_world_object[:3, 3], (0.0, 0.0, 0.0)) - item.shape.bounding_radius, 0.0
     )

@@ -5,7 +5,6 @@ A shape has its own frame; `SceneObject` gives its pose in the world. Lengths ar
 
 from __future__ import annotations  # `help` then shows types by their names
 
-import itertools
 import math
 from dataclasses import dataclass
 from typing import Annotated, Any, TypeAlias
@@ -15,34 +14,10 @@ import numpy as np
 from cvqmpt_lab.base.codec import Checked, Tagged
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.base.values import MAX_LENGTH_M, Array, FloatArray, Length, Name, Padding
+from cvqmpt_lab.geometry.convex import box_corners, require_volume
 
 Points = Annotated[FloatArray, Array((None, 3), "points x, y, z [m]", MAX_LENGTH_M)]
 MIN_THICKNESS_M = 1e-4  # thinner hulls are refused: their faces would be rounding errors
-
-
-def thickness(points: FloatArray) -> float:
-    """Return the extent [m] of points (n, 3) in the direction of their least extent."""
-    centred = points - points.mean(axis=0)
-    thinnest = np.linalg.eigh(centred.T @ centred)[1][:, 0]  # the normal if the points are flat
-    return float(np.ptp(points @ thinnest))
-
-
-def check_volume(points: FloatArray, what: str, most: float = 1e4) -> None:
-    """Refuse finite points (n, 3) [m] that are too thin or too far away for collision checks.
-
-    most: largest coordinate of a point [m].
-    """
-    farthest = float(np.abs(points).max(initial=0.0))
-    if farthest > most:
-        raise InvalidInputError(
-            f"{what} must be within {most:g} m of their frame, one is {farthest:.3g} m away: give "
-            "metres"
-        )
-    if len(points) < 4 or thickness(points) < MIN_THICKNESS_M:
-        raise InvalidInputError(
-            f"{what} must span a volume: give 4 or more points that are not in one plane, and at "
-            f"least {1e3 * MIN_THICKNESS_M:g} mm thick, got {len(points)} points"
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,6 +79,21 @@ class Box(Checked):
 
     size: tuple[Length, Length, Length]  # full edge lengths along x, y, z [m]
 
+    @property
+    def half(self) -> FloatArray:
+        """Half edges (3,) [m]."""
+        return 0.5 * np.array(self.size)
+
+    @property
+    def vertices(self) -> FloatArray:
+        """Corners (8, 3) [m]."""
+        return box_corners(-self.half, self.half)
+
+    @property
+    def bounding_radius(self) -> float:
+        """Largest distance of a point from the origin [m]."""
+        return 0.5 * math.hypot(*self.size)
+
 
 @dataclass(frozen=True, eq=False)
 class Cylinder(Checked):
@@ -112,12 +102,27 @@ class Cylinder(Checked):
     radius: Length  # [m]
     height: Length  # full height [m]
 
+    @property
+    def half(self) -> FloatArray:
+        """Half extents (3,) along the axes [m]."""
+        return np.array([self.radius, self.radius, 0.5 * self.height])
+
+    @property
+    def bounding_radius(self) -> float:
+        """Largest distance of a point from the origin [m]."""
+        return math.hypot(self.radius, 0.5 * self.height)
+
 
 @dataclass(frozen=True, eq=False)
 class Sphere(Checked):
     """A sphere centred at the origin of its frame."""
 
     radius: Length  # [m]
+
+    @property
+    def bounding_radius(self) -> float:
+        """Largest distance of a point from the origin [m]."""
+        return self.radius
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +132,12 @@ class ConvexMesh(Checked):
     vertices: Points  # (n, 3), n >= 4, not in one plane [m]
 
     def _check(self) -> None:
-        check_volume(self.vertices, "vertices")
+        require_volume(self.vertices, "a convex mesh", MIN_THICKNESS_M)
+
+    @property
+    def bounding_radius(self) -> float:
+        """Largest distance of a point from the origin [m]."""
+        return float(np.linalg.norm(self.vertices, axis=1).max())
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,6 +150,11 @@ class PointCloud(Checked):
     def _check(self) -> None:
         if len(self.points) == 0:
             raise InvalidInputError("PointCloud.points is empty: give one or more")
+
+    @property
+    def bounding_radius(self) -> float:
+        """Largest distance of a point from the origin [m]."""
+        return float(np.linalg.norm(self.points, axis=1).max()) + self.radius
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,6 +178,12 @@ class OccupancyMap(Checked):
         """Centres (k, 3) of the cells [m]."""
         return (self.cells + 0.5) * self.resolution
 
+    @property
+    def bounding_radius(self) -> float:
+        """Largest distance of a point from the origin [m]."""
+        farthest_corners = np.abs(self.centres) + 0.5 * self.resolution
+        return float(np.linalg.norm(farthest_corners, axis=1).max()) + self.padding
+
 
 def require_resolution(resolution: float, finest: float = 1e-3) -> None:
     """Refuse cells that are smaller than `finest` [m], and with it than the noise of sensors."""
@@ -180,32 +201,3 @@ Shape: TypeAlias = Annotated[
     Box | Cylinder | Sphere | ConvexMesh | PointCloud | OccupancyMap,
     Tagged("type", SHAPES, SHAPES_BY_PATH),
 ]
-
-
-def shape_vertices(shape: Box | ConvexMesh) -> FloatArray:
-    """Return the corners (n, 3) [m] of a shape in its frame; the shape is their convex hull."""
-    if isinstance(shape, Box):
-        return 0.5 * np.array(list(itertools.product((-1.0, 1.0), repeat=3))) * np.array(shape.size)
-    if isinstance(shape, ConvexMesh):
-        return shape.vertices
-    raise InvalidInputError(
-        f"{type(shape).__name__} has no corner points; valid shapes: Box, ConvexMesh"
-    )
-
-
-def bounding_radius(shape: Shape) -> float:
-    """Return the radius [m] of a ball around the origin of the frame that contains the shape."""
-    match shape:
-        case Box(size):
-            return 0.5 * math.hypot(*size)
-        case ConvexMesh():
-            return float(np.linalg.norm(shape_vertices(shape), axis=1).max())
-        case Cylinder(radius, height):
-            return math.hypot(radius, 0.5 * height)
-        case Sphere(radius):
-            return radius
-        case PointCloud(points, radius):
-            return float(np.linalg.norm(points, axis=1).max()) + radius
-        case OccupancyMap(_, resolution, padding):
-            farthest = np.linalg.norm(np.abs(shape.centres) + 0.5 * resolution, axis=1).max()
-            return float(farthest) + padding

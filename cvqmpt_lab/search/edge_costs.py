@@ -14,9 +14,11 @@ import numpy as np
 
 from cvqmpt_lab.base.jit import entry, kernel
 from cvqmpt_lab.collision.checker import ball_clearance
-from cvqmpt_lab.collision.distance_grid import NEAREST, DistanceGrid
+from cvqmpt_lab.collision.distance_grid import DistanceGrid
 from cvqmpt_lab.robot.kinematics import forward_kinematics
 from cvqmpt_lab.search.motion import CLEARANCES, GAP, Space
+
+CLEARANCE_MIN_M, CLEARANCE_MAX_M = -0.1, 0.15  # clearances of edges are cut off here
 
 
 class EdgeCosts(NamedTuple):
@@ -54,7 +56,7 @@ def smallest_clearance(space, grid, lowest):
 @kernel(inline="machine")
 def negative_log(costs, clearance):
     """-log P(free) = log (1 + exp(-slope d - bias)) of a motion with smallest clearance d [m]."""
-    odds = costs.slope * max(clearance, NEAREST) + costs.bias
+    odds = costs.slope * max(clearance, CLEARANCE_MIN_M) + costs.bias
     # at log odds of 18, P(free) is 1 to double precision of the costs
     return max(-odds, 0.0) + np.log1p(np.exp(-abs(odds))) if odds < 18.0 else 0.0
 

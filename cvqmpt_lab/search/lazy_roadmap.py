@@ -16,10 +16,16 @@ from typing import Annotated, NamedTuple
 import numpy as np
 
 from cvqmpt_lab.base.jit import entry, kernel
-from cvqmpt_lab.collision.distance_grid import FARTHEST, NEAREST
 from cvqmpt_lab.constraints.regions import residual
 from cvqmpt_lab.robot.kinematics import forward_kinematics
-from cvqmpt_lab.search.edge_costs import EdgeCosts, negative_log, reading, readings
+from cvqmpt_lab.search.edge_costs import (
+    CLEARANCE_MAX_M,
+    CLEARANCE_MIN_M,
+    EdgeCosts,
+    negative_log,
+    reading,
+    readings,
+)
 from cvqmpt_lab.search.motion import (
     Space,
     bisect_motion,
@@ -169,7 +175,7 @@ def _read_node(space, roadmap, costs, i):
     """Read the clearance at node i, once before and once after its projection."""
     if roadmap.clearance[i] == np.inf:
         roadmap.clearance[i] = reading(
-            space, costs, roadmap.nodes[i], roadmap.nodes[i], 0, FARTHEST
+            space, costs, roadmap.nodes[i], roadmap.nodes[i], 0, CLEARANCE_MAX_M
         )
 
 
@@ -181,7 +187,7 @@ def _read_edge(space, roadmap, costs, row, slot, there):
     if k == 0:
         _read_node(space, roadmap, costs, there)
         lowest = min(before, roadmap.clearance[there])
-    elif before > NEAREST:
+    elif before > CLEARANCE_MIN_M:
         lowest = reading(space, costs, roadmap.nodes[row], roadmap.nodes[there], k, before)
     roadmap.lowest[row, slot] = lowest
     roadmap.known[row, slot] += 4

@@ -9,7 +9,7 @@ import numpy as np
 
 from cvqmpt_lab.base.jit import call_address, entry, kernel
 from cvqmpt_lab.collision.checker import in_contact
-from cvqmpt_lab.collision.distance_grid import REACH
+from cvqmpt_lab.collision.distance_grid import GRID_REACH_M
 from cvqmpt_lab.collision.geometry import RobotGeometry, SceneGeometry
 from cvqmpt_lab.constraints.project import ProjectionScratch, project
 from cvqmpt_lab.constraints.regions import Regions, residual
@@ -295,7 +295,7 @@ def motion_free(space: Space, a: Annotated[np.ndarray, "n"], b: Annotated[np.nda
     while done < pieces:
         place = 1.0 if done < 0 else (done + (1.0 if space.exact else 0.5 * span)) / pieces
         clearance = 0.0 if span == 1 else 0.5 * sweep * span / pieces
-        free = clearance <= REACH - space.robot.largest or span == 1
+        free = clearance <= GRID_REACH_M - space.robot.largest or span == 1
         if free:
             _place_between(space, a, b, place)
             free = posed_state_valid(space, space.state, clearance)

@@ -139,8 +139,8 @@ def solids_of(objects: Sequence[SceneObject]) -> list[Solid]:
 def _solid(item: SceneObject) -> Solid:
     T = item.T_world_object
     match item.shape:
-        case Box(size):
-            return cuboid(T, np.multiply(0.5, size))
+        case Box():
+            return cuboid(T, item.shape.half)
         case Sphere(radius):
             return ball(T, radius)
         case Cylinder(radius, height):

@@ -11,8 +11,8 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegionChain
+from cvqmpt_lab.geometry.convex import prism_around
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.robot.hulls import prism_vertices
 from cvqmpt_lab.scene.cells import blocks_of
 from cvqmpt_lab.scene.shapes import (
     Box,
@@ -22,7 +22,6 @@ from cvqmpt_lab.scene.shapes import (
     PointCloud,
     Shape,
     Sphere,
-    shape_vertices,
 )
 
 Colour = tuple[float, float, float]
@@ -96,7 +95,7 @@ def shape_mesh(shape: Shape, most_balls: int = 4000) -> Mesh:
     """
     match shape:
         case Cylinder(radius, height):
-            return hull_mesh(prism_vertices(radius, 0.5 * height, sides=32))
+            return hull_mesh(prism_around(radius, (-0.5 * height, 0.5 * height), sides=32))
         case Sphere(radius):
             return hull_mesh(radius * _sphere_points(200))
         case PointCloud(points, radius):
@@ -104,10 +103,10 @@ def shape_mesh(shape: Shape, most_balls: int = 4000) -> Mesh:
             return _copies(hull_mesh(radius * np.sqrt(every) * _sphere_points(12)), points[::every])
         case OccupancyMap():
             low, high, _ = blocks_of(shape, np.eye(4))
-            cube = hull_mesh(shape_vertices(Box((1.0, 1.0, 1.0))))
+            cube = hull_mesh(Box((1.0, 1.0, 1.0)).vertices)
             return _copies(cube, 0.5 * (low + high), high - low)
         case Box() | ConvexMesh():
-            return hull_mesh(shape_vertices(shape))
+            return hull_mesh(shape.vertices)
 
 
 def beads(points: np.ndarray, radius: float = 0.008, spacing: float = 0.012) -> Mesh:

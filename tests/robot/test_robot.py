@@ -8,7 +8,8 @@ from refusals import refused
 from scipy.spatial import ConvexHull
 
 from cvqmpt_lab.collision.motion_bounds import Sweep
-from cvqmpt_lab.robot.hulls import OVERLAP, ball_vertices, hull_vertices
+from cvqmpt_lab.geometry.convex import polytope_around_ball
+from cvqmpt_lab.robot.hulls import OVERLAP, hull_vertices
 from cvqmpt_lab.robot.kinematics import link_poses, sine_and_cosine
 from cvqmpt_lab.robot.load import load_robot, robot_from_source
 from cvqmpt_lab.robot.load import panda as load_panda
@@ -130,6 +131,6 @@ def test_a_file_that_is_no_srdf_is_named(slider_arm_urdf, tmp_path):
 
 
 def test_the_polytope_of_a_ball_contains_it_and_is_little_larger():
-    points = ball_vertices(0.2)
+    points = polytope_around_ball(0.2)
     assert 0.2 <= -ConvexHull(points).equations[:, 3].max() <= 0.2001
     assert np.linalg.norm(points, axis=1).max() < 0.2075

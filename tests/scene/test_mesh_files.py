@@ -7,11 +7,10 @@ from judged_bodies import Body
 from refusals import refused
 from scipy.spatial import ConvexHull
 
+from cvqmpt_lab.geometry.convex import few_vertices_around
 from cvqmpt_lab.scene.mesh_files import (
-    MAX_HULL_VERTICES,
     MAX_MESH_PIECES,
     convex_pieces,
-    of_few_vertices,
     read_mesh,
     read_triangles,
     spread_points,
@@ -83,7 +82,7 @@ def test_triangles_without_area_change_nothing(mesh, corners):
     flat = np.stack([*np.moveaxis(ends, 1, 0), ends.mean(axis=1)], axis=1)[:, list(corners)]
     expected, found = convex_pieces(triangles), convex_pieces(np.concatenate([triangles, flat]))
     assert len(found) == len(expected) and all(map(np.array_equal, found, expected))
-    refused("must span a volume", convex_pieces, flat)
+    refused("the mesh of 0 points is 0 m thick", convex_pieces, flat)
 
 
 def farthest_outside(points, hulls):
@@ -95,8 +94,8 @@ def farthest_outside(points, hulls):
 
 def test_round_hulls_get_few_vertices_and_contain_the_ball():
     ball = trimesh.creation.icosphere(4)
-    hull = ConvexHull(of_few_vertices(ConvexHull(ball.vertices)))
-    assert len(hull.vertices) <= MAX_HULL_VERTICES
+    hull = ConvexHull(few_vertices_around(ConvexHull(ball.vertices)))
+    assert len(hull.vertices) <= 120
     assert farthest_outside(ball.vertices, [hull]) <= 0.0
     assert hull.volume < 1.1 * ball.volume
 
@@ -129,7 +128,7 @@ FLAT = b"v 0 0 0\nv .1 0 0\nv 0 .1 0\nv .03 .03 1e-9\nf 1 2 3\nf 1 2 4\n"
 CUBE = box((1, 1, 1)).export(file_type="stl_ascii").encode()
 LOOSE = b"\nfacet normal 0 0 1\nouter loop\n" + 3 * b"vertex 9 9 9\n" + b"endloop\nendfacet\n"
 BAD = {
-    "flat.obj": (FLAT, "must span a volume"),
+    "flat.obj": (FLAT, "m thick, less than 0.0001"),
     "far.obj": (FLAT.replace(b".03 .03 1e-9", b"0 0 1e300"), "m from the origin"),
     "nan.obj": (b"v 0 0 0\nv nan 0 0\nv 0 1 0\nf 1 2 3\n", "finite|parse|could not"),
     "index.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "obj"),

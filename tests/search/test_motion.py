@@ -13,7 +13,7 @@ from cvqmpt_lab.constraints.task_space_region import FREE, symmetric_region
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
-from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Sphere, shape_vertices
+from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Sphere
 from cvqmpt_lab.search.motion import motion_free, states_valid
 from cvqmpt_lab.search.nearest import (
     BLOCK,
@@ -39,7 +39,7 @@ def placed_points(robot, attachments, configurations):
     rotations, translations = link_poses(robot.kinematics, configurations)
     hand, T_link_hand = robot.end_effector_link
     solids = [(piece.link, piece.T_link_geometry, piece.vertices) for piece in robot.links]
-    solids += [(hand, T_link_hand @ a.T_hand_object, shape_vertices(a.shape)) for a in attachments]
+    solids += [(hand, T_link_hand @ a.T_hand_object, a.shape.vertices) for a in attachments]
     points = [
         (vertices @ T[:3, :3].T + T[:3, 3]) @ rotations[:, link].transpose(0, 2, 1)
         + translations[:, link, None]

@@ -9,12 +9,11 @@ from refusals import refused
 
 from cvqmpt_lab.benchmarks.place_task import place_problem
 from cvqmpt_lab.certificate.certificate import certify
-from cvqmpt_lab.collision.distance_grid import FARTHEST, NEAREST
 from cvqmpt_lab.planning.pipeline import solve, with_sampled_goals
 from cvqmpt_lab.planning.planners import planner_named
 from cvqmpt_lab.results.store import states_hash
 from cvqmpt_lab.search.anytime import InformedSamples, improve, informed_roadmap_path
-from cvqmpt_lab.search.edge_costs import reading, readings
+from cvqmpt_lab.search.edge_costs import CLEARANCE_MAX_M, CLEARANCE_MIN_M, reading, readings
 from cvqmpt_lab.search.method import Method
 from cvqmpt_lab.search.motion import motion_free
 from cvqmpt_lab.search.planner_interface import (
@@ -95,12 +94,12 @@ def test_without_a_roadmap_path_birrt_helps_and_the_row_says_so(tuning, roadmap)
     assert result.fallback.endswith("free nodes: no roadmap path after 1 searches")
 
 
-def nll_of(space, costs, a, b, lowest=FARTHEST):
+def nll_of(space, costs, a, b, lowest=CLEARANCE_MAX_M):
     """-log P(free) by all readings from a to b."""
     lowest = reading(space.arrays, costs, b, a, 0, lowest)
     for k in range(readings.py_func(costs, np.linalg.norm(b - a))):
         lowest = reading(space.arrays, costs, a, b, k, lowest)
-    return np.logaddexp(0.0, -costs.slope * max(lowest, NEAREST) - costs.bias)
+    return np.logaddexp(0.0, -costs.slope * max(lowest, CLEARANCE_MIN_M) - costs.bias)
 
 
 def test_edges_cost_more_the_less_likely_they_are_free(tuning, roadmap):
