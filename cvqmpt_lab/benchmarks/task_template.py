@@ -279,7 +279,7 @@ def _start(task: Task, hold: Grip) -> np.ndarray | None:
     opened = task.scene.with_joint(task.name, turn.value)
     last = turn.goal.at(opened[turn.goal.base].T_world_object)
     there = CollisionChecker(robot, opened, margin=SAMPLE_MARGIN)
-    back = TaskSpaceRegion(last.T0_w, last.Tw_e @ pose(slide.way), np.zeros((6, 2)))
+    back = TaskSpaceRegion(last.T0_w, last.Tw_e @ pose(slide.translation), np.zeros((6, 2)))
     for region, check in (
         (reach.goal, checker),
         (last, there),

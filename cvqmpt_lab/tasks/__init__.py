@@ -1,1 +1,1 @@
-"""Tasks of several phases: described, walked through and solved."""
+"""Tasks of several phases: their files, their states and how they are solved."""

@@ -1,8 +1,8 @@
 """Plan the phases of a task in order, by depth-first search over the goals of each planned phase.
 
-If a phase fails, go back to the phase before, remove the goal reached and plan to another one.
-Slides and turns, impossible from some grasps, get a small share of the budget first, and all of it
-if all grasps fail.
+If a phase fails, the search returns to the phase before it, removes the goal that was reached, and
+plans to another one. Slides and turns are impossible from some grasps. They get a small share of
+the budget first, and the whole budget if they fail from all grasps.
 """
 
 import time
@@ -34,15 +34,15 @@ from cvqmpt_lab.trajectory.trajectory import Trajectory
 
 @dataclass(frozen=True, eq=False)
 class PhaseOutcome:
-    """The result of a planned phase."""
+    """Result of a planned phase."""
 
     phase: PlannedPhase
     world: World  # before the phase
     attempts: tuple[Solution, ...]  # in order; the last one counts
-    trajectory: Trajectory | None = None  # of the last attempt, if it is certified
-    margin: str = ""  # that it was planned with, and why not more
-    fallback: str = ""  # why another planner than the one asked for was used, or ""
-    reason: str = ""  # why the phase failed, or ""
+    trajectory: Trajectory | None = None  # of the last attempt; None: it is not certified or timed
+    margin: str = ""  # margin of the plan, and why it is not larger
+    fallback: str = ""  # planner used instead of the chosen one and the reason, or ""
+    reason: str = ""  # reason of the failure, or ""
 
     @property
     def solution(self) -> Solution:
@@ -51,7 +51,7 @@ class PhaseOutcome:
 
     @property
     def arm_trajectory(self) -> Trajectory | None:
-        """The trajectory of the arm's own joints, without that of a door in the hand."""
+        """The trajectory of the arm's own joints, without the joint of a door in the hand."""
         whole, n = self.trajectory, self.world.arm.dof
         if whole is None:
             return None
@@ -65,17 +65,16 @@ class PhaseOutcome:
 
     @property
     def solved(self) -> bool:
-        """Certified, and timed."""
+        """Whether the phase has a certified path and a trajectory."""
         return self.solution.solved and self.trajectory is not None
 
 
 @dataclass(frozen=True, eq=False)
 class TaskSolution:
-    """The result of a task."""
+    """Result of a task."""
 
     task: Task
-    # of the planned phases in order, up to the first that failed
-    outcomes: tuple[PhaseOutcome, ...]
+    outcomes: tuple[PhaseOutcome, ...]  # of the planned phases in order, up to one that failed
     world: World  # at the end
 
     def __repr__(self) -> str:
@@ -88,19 +87,19 @@ class TaskSolution:
 
     @property
     def solved(self) -> bool:
-        """Every phase certified."""
+        """Whether every planned phase is solved."""
         planned = len(self.task.planned)
         return len(self.outcomes) == planned and all(outcome.solved for outcome in self.outcomes)
 
     @property
     def failure(self) -> str:
-        """The phase that failed and why, or ""."""
+        """The phase that failed and the reason, or "" if the task is solved."""
         last = self.outcomes[-1]
         return "" if last.solved else f"phase {last.phase.name!r}: {last.reason}"
 
     @property
     def steps(self) -> Iterator[tuple[Phase, PhaseOutcome | None]]:
-        """The phases in order, planned ones with their outcome, up to the one that failed."""
+        """Phases in order, planned ones with their outcomes, up to the one that failed."""
         outcomes = {outcome.phase.name: outcome for outcome in self.outcomes}
         for phase in self.task.phases:
             if isinstance(phase, PlannedPhase) and phase.name not in outcomes:
@@ -117,17 +116,17 @@ def solve_task(
     backend: str = "compiled",
     margin: Margin = NO_MARGIN,
 ) -> TaskSolution:
-    """Plan, certify and time every phase.
+    """Plan, certify and time every phase of a task.
 
     Args:
-        task: a move that goes through regions is planned in legs, and stops between them; the
-            solution's task has them as phases.
-        method: planner; birrt plans phases that it cannot serve.
-        budget: of one planning run.
-        seed: of all randomness.
-        timing: speed of the motions.
-        backend: of collision checks, see `pipeline.solve`.
-        margin: of every phase, as far as its start and goals allow it.
+        task: the task. A move through regions becomes several moves, with stops between them; the
+            solution's task has these as phases.
+        method: planner or its name; birrt plans the phases with which it is incompatible.
+        budget: budget of one planning run.
+        seed: seed of all random numbers.
+        timing: speed and corner deviation of the motions; None: the defaults.
+        backend: collision checks of the search, see `pipeline.solve`.
+        margin: margin of every phase, reduced if its start or goals do not allow it.
     """
     require_kind("task", task, Task, "Task.load(path) reads a file; a PlanningProblem is for solve")
     Budget.require(budget)
@@ -142,19 +141,19 @@ def solve_task(
 
 @dataclass(eq=False)
 class _Step:
-    """A planned phase and the goals that it has left."""
+    """A planned phase and its remaining goals."""
 
     phase: PlannedPhase
-    world: World
-    goals: np.ndarray  # (k, n) [rad or m]
-    goal_seconds: float  # of sampling, until an attempt has counted it
-    reason: str
-    ends: int = 0
+    world: World  # before the phase
+    goals: np.ndarray  # (k, n) remaining goals [rad or m]
+    goal_seconds: float  # time of goal sampling [s]; 0 once it is part of an attempt
+    reason: str  # why there are no goals, or ""
+    ends: int = 0  # number of goals that were removed because a later phase failed
     outcome: PhaseOutcome | None = None
 
     @property
     def end(self) -> np.ndarray:
-        """The end of its last path (n,)."""
+        """End (n,) of its last path [rad or m]."""
         assert self.outcome is not None and self.outcome.solution.path is not None
         return self.outcome.solution.path.states[-1]
 
@@ -170,19 +169,22 @@ class _Run:
     timing: TimingSettings
     backend: str
     margin: Margin
-    retries: int = 0  # times that it may still go back to another goal
-    runs: int = 0
-    cut_short: bool = False  # whether a run failed with a share of the budget
+    retries: int = 0  # remaining number of returns to an earlier phase
+    runs: int = 0  # number of planning runs
+    cut_short: bool = False  # whether a run with a share of the budget failed
     attempts: dict[str, tuple[Solution, ...]] = field(default_factory=dict)  # by name of phase
 
     def solve(self) -> TaskSolution:
-        """With little for slides and turns, then with the whole budget if one of them failed."""
-        # of 10 s: slides of tasks 100 to 124 take birrt, roadmap or ompl-projected up to 0.24 s
+        """Search with a small budget for slides and turns; if one failed, search with all of it."""
+        # birrt, roadmap and ompl-projected need at most 0.24 s for slides of tasks 100 to 124
         found = self._search(0.02)
         return found if found.solved or not self.cut_short else self._search(1.0)
 
     def _search(self, share: float) -> TaskSolution:
-        """Plan the next phase, or go back after a failure; share: of budget, slides and turns."""
+        """Plan phase after phase; after a failure return to the phase before.
+
+        share: share of the budget for slides and turns.
+        """
         self.retries = 10
         steps = [self._step(0, World.before(self.task))]
         deepest: tuple[PhaseOutcome, ...] = ()
@@ -197,11 +199,12 @@ class _Run:
                 world = step.world.moved(step.end)
                 if len(steps) == len(self.task.planned):
                     last = self.task.phases.index(step.phase)
-                    # the hand's, after the last planned one
-                    rest = (
-                        p for p in self.task.phases[last + 1 :] if not isinstance(p, PlannedPhase)
+                    hand_phases = (
+                        phase
+                        for phase in self.task.phases[last + 1 :]
+                        if not isinstance(phase, PlannedPhase)
                     )
-                    return TaskSolution(self.task, outcomes, world.through(rest))
+                    return TaskSolution(self.task, outcomes, world.through(hand_phases))
                 steps.append(self._step(len(steps), world))
                 continue
             if len(steps) == 1 or self.retries == 0:
@@ -214,19 +217,18 @@ class _Run:
             step.reason = f"a later phase failed from each of the {step.ends} ends reached"
 
     def _step(self, k: int, world: World) -> _Step:
-        """Planned phase k with its goals, from the world after the planned phase before it."""
+        """Sample goals of planned phase k, which begins in `world` after its hand phases."""
         hand, phase = self.task.planned[k]
         world = world.through(hand)
         prepare(self.task, k, world)
         began = time.perf_counter()
         goals, reason = phase_goals(self.task, k, world)
         if len(goals) == 0 and isinstance(phase, Move):
-            # another start of the move would not change that
-            self.retries = 0
+            self.retries = 0  # from another start the move would have no goals either
         return _Step(phase, world, goals, time.perf_counter() - began, reason)
 
     def _planned(self, step: _Step, share: float) -> PhaseOutcome:
-        """One planning run to the goals left, its certificate and its timing."""
+        """Plan to the remaining goals with a share of the budget, certify and time the path."""
         problem = step.world.problem(self.task, step.phase)
         incompatible = self.method.incompatibility(problem)
         fallback = f"birrt: {incompatible}" if incompatible else ""
@@ -237,7 +239,6 @@ class _Run:
         else:
             self.runs += 1
             try:
-                # each phase must observe its own world, so not from the cache
                 solution, margin = solve_with_margin(
                     problem.changed(goals=step.goals),
                     "birrt" if incompatible else self.method,
@@ -245,7 +246,7 @@ class _Run:
                     int(np.random.default_rng([self.seed, self.runs]).integers(2**32)),
                     self.margin,
                     backend=self.backend,
-                    use_cache=False,
+                    use_cache=False,  # each phase observes another scene
                 )
                 reason = "" if solution.solved else _why(solution)
                 self.cut_short |= not solution.solved and share < 1.0
@@ -268,41 +269,45 @@ class _Run:
 
 
 def _why(solution: Solution) -> str:
-    """Why a planning run has no certified path."""
+    """Reason why a planning run has no certified path."""
     if solution.certificate is not None:
         return "; ".join(solution.certificate.reasons)
     return solution.plan.detail or str(solution.plan.status)
 
 
 def event_of(phase: Phase) -> dict[str, Any]:
-    """Name and kind of a phase, and what the gripper does in it."""
+    """Name and kind of a phase, and the fields about its gripper, as plain data for json."""
     plain = to_plain(phase, Phase)
-    told = ("kind", "articulation", "object", "gripper")
-    return {"phase": phase.name, **{key: plain[key] for key in told if key in plain}}
+    keys = ("kind", "articulation", "object", "gripper")
+    return {"phase": phase.name, **{key: plain[key] for key in keys if key in plain}}
 
 
 def task_data(solution: TaskSolution, planner: str) -> dict[str, Any]:
-    """Plain data for json: the phases in order, planned ones as `solution_data` has them."""
+    """Plain data for json: the phases in order, planned ones with their `solution_data`."""
     phases = []
     for phase, outcome in solution.steps:
-        said = event_of(phase)
+        data = event_of(phase)
         if outcome is not None:
-            seconds = outcome.trajectory and outcome.trajectory.duration
-            more = {
+            data |= {
                 "attempts": len(outcome.attempts),
-                "duration_s": seconds,
+                "duration_s": outcome.trajectory and outcome.trajectory.duration,
                 "margin": outcome.margin,
                 "reason": outcome.reason,
             }
-            said |= more | solution_data(outcome.solution, planner)
-            said |= {"solved": outcome.solved, "fallback": outcome.fallback or said["fallback"]}
-        phases.append(said)
-    whole = {"task": solution.task.name, "planner": planner, "solved": solution.solved}
-    return {**whole, "failure": solution.failure, "phases": phases}
+            data |= solution_data(outcome.solution, planner)
+            data |= {"solved": outcome.solved, "fallback": outcome.fallback or data["fallback"]}
+        phases.append(data)
+    return {
+        "task": solution.task.name,
+        "planner": planner,
+        "solved": solution.solved,
+        "failure": solution.failure,
+        "phases": phases,
+    }
 
 
 def task_lines(solution: TaskSolution, planner: str) -> list[str]:
-    """The lines a person reads."""
+    """Lines of the report on the command line."""
     lines = [f"task        {solution.task.name}, planner {planner}"]
     planning = execution = 0.0
     for outcome in solution.outcomes:

@@ -1,6 +1,6 @@
-"""Tasks: sequences of phases in which an arm reaches, holds a door, grasps, carries and lets go.
+"""Tasks: sequences of phases in which an arm reaches, holds a door, grasps, carries and releases.
 
-`solve_task` plans it; `world.World` is one moment of it. Tasks are saved as json, schema
+`solve_task` plans a task; `world.World` is its state at one time. Tasks are saved as json, schema
 ``cvqmpt-task/1``: "name", "robot", "scene" and "start" as in a problem file, and
 
     "phases": [
@@ -11,11 +11,11 @@
       {"kind": "grasp", "name", "object", "gripper": {...}},
       {"kind": "release", "name", "gripper": {...}}]
 
-What is grasped is carried as the scene has it, shape and pose. Contact counts as a collision: leave
-an object a gap of 1 mm or more from what it stands on.
+A grasped object is carried with its shape and pose in the scene. Contact counts as a collision:
+leave a gap of 1 mm or more between an object and its support.
 """
 
-from __future__ import annotations  # so `help` shows forms by their names
+from __future__ import annotations  # so that `help` shows types by their names
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -49,18 +49,18 @@ from cvqmpt_lab.scene.scene_files import with_files_read
 
 @dataclass(frozen=True, eq=False)
 class Move(Checked):
-    """The arm moves, with what it carries, until its hand is in a region."""
+    """The arm moves, with its load if it has one, until its hand is in a region."""
 
     name: Name  # Unique in its task
     goal: Region  # Poses of the end effector
-    # Regions that it stays in on the way
+    # Regions in which it stays during the motion
     constraint: Annotated[tuple[Region, ...], OneOrMore(Region)] = ()
-    # Regions that it stops in before, in order
+    # Regions in which it stops before the goal, in order
     through: Annotated[tuple[Region, ...], OneOrMore(Region)] = ()
 
     @property
     def legs(self) -> tuple[Move, ...]:
-        """Moves to each region of `through`, "NAME/1" and so on, and the one to the goal."""
+        """One move to each region of `through`, called "NAME/1", "NAME/2", ..., and to the goal."""
         stops = (
             self.changed(name=f"{self.name}/{k}", goal=region, through=())
             for k, region in enumerate(self.through, start=1)
@@ -70,53 +70,53 @@ class Move(Checked):
 
 @dataclass(frozen=True, eq=False)
 class Slide(Checked):
-    """The hand moves straight along an axis of its own."""
+    """The hand moves straight along an axis of the end-effector frame."""
 
     name: Name  # Unique in its task
     distance: float  # Along the axis; backwards if negative [m]
     axis: Axis = "z"  # Axis of the end-effector frame
 
     @property
-    def way(self) -> np.ndarray:
-        """The slide as a translation (3,) in the end-effector frame [m]."""
+    def translation(self) -> np.ndarray:
+        """Translation (3,) of the hand in the end-effector frame [m]."""
         sign = -1.0 if self.axis[0] == "-" else 1.0
         return sign * self.distance * np.eye(3)["xyz".index(self.axis[-1])]
 
 
 @dataclass(frozen=True, eq=False)
 class Turn(Checked):
-    """The arm brings the door or drawer that it holds to a value."""
+    """The arm moves the door or drawer that it holds to a joint value."""
 
     name: Name  # Unique in its task
-    value: float  # Of the door or drawer in the end [rad or m]
-    constraint: TaskSpaceRegionChain  # How the hand holds the part on the way
-    goal: TaskSpaceRegionChain  # How it holds the part in the end
+    value: float  # Final value of the door or drawer [rad or m]
+    constraint: TaskSpaceRegionChain  # How the hand holds the part during the motion
+    goal: TaskSpaceRegionChain  # How the hand holds the part at the end
 
 
 @dataclass(frozen=True, eq=False)
 class Hold(Checked):
-    """The fingers close on a door or drawer, which from then on is a joint of the robot."""
+    """The fingers close on a door or drawer; from then on it is a joint of the robot."""
 
     name: Name  # Unique in its task
-    articulation: Name  # Which of the scene's
+    articulation: Name  # Name of a door or drawer of the scene
     # Fields of the task's robot that change, e.g. {"finger_opening": 0.0075}
     gripper: Mapping[str, Any]
-    # (Robot piece, door part) pairs that touch from then on
+    # Pairs (robot piece, door part) that may touch from then on
     may_touch: tuple[tuple[Name, Name], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
 class Grasp(Checked):
-    """The fingers close on an object of the scene, which from then on is carried as it is."""
+    """The fingers close on an object of the scene; from then on it is carried."""
 
     name: Name  # Unique in its task
-    object: Name  # Which of the scene's
+    object: Name  # Name of an object of the scene
     gripper: Mapping[str, Any]  # As in `Hold`
-    # The object where the hand should close, compared and not carried
+    # Expected object and pose in the hand, only compared with the object that is carried
     attachment: Attachment | None = None
 
     def check_shape(self, item: SceneObject) -> None:
-        """Refuse an object that cannot be carried, and an attachment of another shape."""
+        """Refuse an object that cannot be carried, and one whose attachment has another shape."""
         carried = Attachment(item.name, item.shape, np.eye(4)).shape
         if self.attachment is None or self.attachment.shape == carried:
             return
@@ -131,7 +131,7 @@ class Grasp(Checked):
 
 @dataclass(frozen=True, eq=False)
 class Release(Checked):
-    """The fingers open; door or object stay where they are."""
+    """The fingers open; the door or object stays where it is."""
 
     name: Name  # Unique in its task
     gripper: Mapping[str, Any]  # As in `Hold`
@@ -157,11 +157,11 @@ class Task(Document):
     SCHEMA: ClassVar[str] = "cvqmpt-task/1"
     with_named_files = staticmethod(with_files_read)
 
-    name: Name  # What it is called in results
-    robot: Mapping[str, Any]  # What a problem file says of it
+    name: Name  # Name in result rows
+    robot: Mapping[str, Any]  # As in a problem file
     scene: NamedScene  # At the beginning
     start: State  # (n,) [rad or m]
-    phases: tuple[Phase, ...]  # In their order
+    phases: tuple[Phase, ...]  # In order of execution
 
     def __repr__(self) -> str:
         return (
@@ -203,7 +203,7 @@ class Task(Document):
 
     @property
     def planned(self) -> list[tuple[tuple[HandPhase, ...], PlannedPhase]]:
-        """The planned phases in order, each with the phases of the hand right before it."""
+        """The planned phases in order, each with the hand phases that directly precede it."""
         found, before = [], list[HandPhase]()
         for phase in self.phases:
             if isinstance(phase, PlannedPhase):
@@ -217,10 +217,11 @@ class Task(Document):
 def _after(
     phase: Phase, scene: Scene, held: Articulation | SceneObject | None
 ) -> tuple[Scene, Articulation | SceneObject | None]:
-    """The scene without what is carried, and what is held, after a phase.
+    """Return the scene without the carried object, and the held door or object, after a phase.
 
-    Refuses unknown names, and a phase that does not fit what the hand holds before: a door or
-    drawer, an object or nothing.
+    Refuses unknown names and a phase that does not fit what the hand holds before it.
+
+    held: door, drawer or object in the hand before the phase; None: the hand is empty.
     """
     match phase:
         case Hold() | Grasp() if held is not None:

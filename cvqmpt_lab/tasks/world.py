@@ -1,6 +1,6 @@
-"""One moment of a task: the arm's configuration, what the hand holds, the scene.
+"""State of a task at one time: the arm's configuration, the held object or door, the scene.
 
-Goals of its phases are configurations from which the next phase can begin.
+The goals of a phase are configurations from which the next phase can begin.
 """
 
 import math
@@ -31,22 +31,22 @@ from cvqmpt_lab.tasks.task import Grasp, HandPhase, Hold, Move, PlannedPhase, Sl
 class Load(NamedTuple):
     """A carried object."""
 
-    item: SceneObject  # as it stood in the scene
-    attachment: Attachment  # the same in the hand
+    item: SceneObject  # as it was in the scene
+    attachment: Attachment  # as it is in the hand
 
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """One moment of a task."""
+    """State of a task at one time."""
 
-    source: Mapping[str, Any]  # of the arm, with the gripper as it is now
-    scene: Scene  # without what is carried, doors at their values
+    source: Mapping[str, Any]  # of the arm, with the gripper's current opening
+    scene: Scene  # without the carried object; doors at their current values
     q: np.ndarray  # (n,) of the arm [rad or m]
-    held: Load | Hold | None = None  # an object, or since this phase a door or drawer
+    held: Load | Hold | None = None  # a carried object, or the phase that took hold of a door
 
     @staticmethod
     def before(task: Task) -> "World":
-        """The start of a task."""
+        """State at the start of a task."""
         return World(task.robot, task.scene, task.start)
 
     @property
@@ -66,10 +66,10 @@ class World:
                 T_world_hand = robot.pose(self.q)
                 Bw = np.zeros((6, 2))
                 # samples end INSIDE bounds, and so must start and goal
-                Bw[:3] = np.sort([(0.0, along) for along in phase.way])
-                Bw[:3][phase.way != 0.0] += (-INSIDE, INSIDE)
+                Bw[:3] = np.sort([(0.0, along) for along in phase.translation])
+                Bw[:3][phase.translation != 0.0] += (-INSIDE, INSIDE)
                 constraint = (TaskSpaceRegion(T_world_hand, np.eye(4), Bw),)
-                there = T_world_hand @ pose(phase.way)
+                there = T_world_hand @ pose(phase.translation)
                 goal = TaskSpaceRegion(there, np.eye(4), np.zeros((6, 2)))
             case Turn():
                 assert isinstance(self.held, Hold)
@@ -89,7 +89,7 @@ class World:
         )
 
     def moved(self, q: np.ndarray) -> "World":
-        """The world after a planned phase that ended at q (n,), or (n + 1,) with a door in hand."""
+        """State after a planned phase that ended at q (n,), or (n + 1,) with a door in the hand."""
         if not isinstance(self.held, Hold):
             return replace(self, q=q)
         joint = self.scene.articulation(self.held.articulation)
@@ -97,11 +97,11 @@ class World:
         return replace(self, scene=self.scene.with_joint(joint.name, value), q=q[:-1])
 
     def through(self, phases: Iterable[HandPhase]) -> "World":
-        """The world after phases that are not planned."""
+        """State after several hand phases."""
         return reduce(World.after, phases, self)
 
     def after(self, phase: HandPhase) -> "World":
-        """The world after the fingers moved; InvalidInputError if they close beside the object."""
+        """State after a hand phase; InvalidInputError if the fingers do not close on the object."""
         source = {**self.source, **phase.gripper}
         match phase:
             case Hold():
@@ -129,10 +129,18 @@ def _require_in_hand(
     gap: float = 0.02,
     most_turn: float = 0.1,
 ) -> None:
-    """Refuse an object not in the closed hand at q (n,), but for turns about a symmetry axis.
+    """Refuse an object that is not in the closed hand at q (n,) as the grasp expects it.
 
-    gap, most_turn: [m] and [rad] between the object and where the grasp expects it; checks use its
-        true pose.
+    Turns about a symmetry axis of the object are allowed. The task continues with the true pose.
+
+    Args:
+        phase: the grasp.
+        item: the object in the scene.
+        T_hand_object: true pose (4, 4) of the object in the hand [m].
+        robot: the arm with the gripper closed.
+        q: configuration (n,) of the arm [rad or m].
+        gap: largest distance from the expected position, or from the arm [m].
+        most_turn: largest angle from the expected orientation [rad].
     """
     if phase.attachment is None:
         scene = Scene(item.name, (replace(item, obstacle=True),))
@@ -161,27 +169,27 @@ def _require_in_hand(
         )
 
 
-# it takes 0.2 s for the casing of a door
+# takes 0.2 s for the frame around a door
 _taken_out = lru_cache(maxsize=8)(take_out)
 
 
 @lru_cache(maxsize=8)
 def _mechanism(robot: Robot, scene: Scene, held: Hold) -> tuple[Scene, Robot]:
-    """A scene without the held door, and the robot with it."""
+    """Return the scene without the held door, and the robot with the door as its last joint."""
     rest, door = _taken_out(scene, held.articulation, held.may_touch)
     return rest, with_articulated_object(robot, door)
 
 
 class Effort(NamedTuple):
-    """Numbers of samples for the goals of a kind of phase."""
+    """Numbers of goals and samples for a kind of phase."""
 
-    goals: int  # sought; those of slides and turns differ only in posture
-    poses: int  # of the end effector that are tried for them
-    first_goals: int = 0  # sought by the phase before
-    grasps: int = 0  # how many of those must allow goals of this phase
-    # goals of this phase that a grasp must allow: one with fewer is near a joint limit
+    goals: int  # number of goals to sample; those of slides and turns differ only in posture
+    poses: int  # number of end-effector poses to try for them
+    first_goals: int = 0  # number of goals to sample for the phase before
+    grasps: int = 0  # number of those that must allow goals of this phase
+    # goals of this phase that each of those must allow; with fewer it is near a joint limit
     goals_ahead: int = 0
-    poses_ahead: int = 0  # of the end effector that are tried for them
+    poses_ahead: int = 0  # number of end-effector poses to try for them
 
 
 EFFORT: dict[type, Effort] = {
@@ -192,7 +200,7 @@ EFFORT: dict[type, Effort] = {
 
 
 def phase_problems(task: Task, paths: Sequence[np.ndarray]) -> Iterator[PlanningProblem]:
-    """The problems, without goals, of the planned phases whose paths (m, n) are given."""
+    """Yield the problems, without goals, of the planned phases whose paths (m, n) are given."""
     world = World.before(task)
     for (hand, phase), states in zip(task.planned, paths, strict=False):
         world = world.through(hand)
@@ -201,7 +209,11 @@ def phase_problems(task: Task, paths: Sequence[np.ndarray]) -> Iterator[Planning
 
 
 def phase_goals(task: Task, k: int, world: World) -> tuple[np.ndarray, str]:
-    """Goals (m, n) [rad or m] of planned phase k from which the next can begin; "", or why none."""
+    """Sample goals of planned phase k from which the next planned phase can begin.
+
+    Returns:
+        Goals (m, n) [rad or m], and the reason if there are none, else "".
+    """
     (_, phase), *later = task.planned[k : k + 2]
     problem, effort = world.problem(task, phase), EFFORT[type(phase)]
     ahead = EFFORT[type(later[0][1])] if later else None
@@ -219,7 +231,7 @@ def phase_goals(task: Task, k: int, world: World) -> tuple[np.ndarray, str]:
 
 
 def prepare(task: Task, k: int, world: World) -> None:
-    """Build the collision checkers for sampling goals; as spaces of planners, it is not timed."""
+    """Build the collision checkers for goal sampling, which is not part of the planning time."""
     (_, phase), *later = task.planned[k : k + 2]
     _checker(world.problem(task, phase))
     for hand, after in later:
@@ -228,12 +240,11 @@ def prepare(task: Task, k: int, world: World) -> None:
 
 
 def _goes_on(task: Task, hand: Sequence[HandPhase], after: PlannedPhase, world: World) -> bool:
-    """Whether the slide or turn after phases of the hand has goals from a world."""
+    """Whether the slide or turn after hand phases has goals if these begin in `world`."""
     try:
         problem = world.through(hand).problem(task, after)
     except InvalidInputError:
-        # what is grasped there is too far
-        return False
+        return False  # the object to grasp is not in the hand there
     if _checker(problem).in_collision(problem.start):
         return False
     effort = EFFORT[type(after)]
@@ -244,10 +255,20 @@ def _goes_on(task: Task, hand: Sequence[HandPhase], after: PlannedPhase, world: 
 def _sampled(
     problem: PlanningProblem, phase: PlannedPhase, count: int, poses: int
 ) -> tuple[np.ndarray, str]:
-    """Up to count goals of a phase's problem; the samples depend on the start alone.
+    """Sample up to `count` goals of a phase; the random numbers depend only on its start.
 
-    Slides and turns get goals near the start's posture: most others require letting go. Goals of a
-    move are drawn within its constraint only if none of the region alone keeps it.
+    Slides and turns get goals near the posture of the start, because most other postures can only
+    be reached without holding the object. Goals of a move are sampled in the goal region; only if
+    none of these keeps the constraint, they are projected onto the constraint too.
+
+    Args:
+        problem: the problem of the phase, with its goal region.
+        phase: the phase.
+        count: largest number of goals.
+        poses: number of end-effector poses to try.
+
+    Returns:
+        Goals (m, n) [rad or m], and the reason if there are none, else "".
     """
     assert problem.goal_region is not None
     drawn = partial(
@@ -272,6 +293,6 @@ def _sampled(
 
 
 def _checker(problem: PlanningProblem, door_margin: float = 5e-4) -> CollisionChecker:
-    """The checker for starts and goals; with a door in hand its margin is door_margin [m]."""
+    """Collision checker for starts and goals; with a door in hand its margin is door_margin [m]."""
     held = "articulated" in problem.robot.source
     return problem.collision_checker(door_margin if held else SAMPLE_MARGIN)

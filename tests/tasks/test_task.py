@@ -1,4 +1,4 @@
-"""Tasks: json, sequences that must be refused; planned whole, every phase certified."""
+"""Tasks: refused sequences of phases; whole tasks planned, with every phase certified."""
 
 import time
 from dataclasses import replace
@@ -36,7 +36,7 @@ def without(task, name):
 
 
 def grasping(task, shape):
-    """The task with a written attachment of a shape."""
+    """The task, whose grasp states an attachment of a shape."""
     return changed(task, "grasp-can", attachment=replace(carried_can(), shape=shape))
 
 
@@ -71,7 +71,7 @@ def test_phases_that_cannot_follow_are_refused(task, message):
     refused(message, SPOILT[message], task)
 
 
-def test_a_hand_that_closes_where_nothing_is(task):
+def test_a_grasp_far_from_its_object_is_refused(task):
     grasp = next(phase for phase in task.phases if isinstance(phase, Grasp))
     told = "'grasp-can': 'can' is more than 0.02 m from the arm"
     refused(told, World.before(task).after, grasp)
@@ -89,7 +89,7 @@ QUARTER_ABOUT_X = np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0,
         (QUARTER_ABOUT_X, "'can' is 0.000 m and 1.57 rad"),
     ],
 )
-def test_what_is_carried_is_the_object_of_the_scene_wherever_it_was_expected(
+def test_the_carried_object_has_its_pose_in_the_scene_not_the_expected_one(
     task_solution, T_written, told
 ):
     carrying = task_solution.outcomes[-1].world
@@ -133,7 +133,7 @@ def test_a_whole_task_is_solved_and_every_phase_certified(task_solution):
 
 
 class FailsOnce:
-    """birrt, but the first planning run to the end of a named phase finds nothing, slowly."""
+    """birrt, but its first run for a named phase takes 0.5 s and finds no path."""
 
     def __init__(self, phase):
         self.phase, self.failed, self.problem = phase, False, ""
@@ -159,12 +159,12 @@ def test_another_grasp_is_tried_when_a_later_phase_fails(task):
     assert np.abs(first - second).max() > 1e-6
     rows = phase_rows(RUN, solution)
     row = next(row for row in rows if row.problem.endswith("approach"))
-    assert rows[-1].solved and rows[-1].t_plan_s > 0.5  # what failed was paid for too
+    assert rows[-1].solved and rows[-1].t_plan_s > 0.5  # the time of failed runs counts too
     assert row.n_state_checks == sum(item.plan.counters.state_checks for item in approach.attempts)
 
 
-class SlidesOnlyAtLeisure:
-    """birrt, but slides need more than a second."""
+class SlidesOnlyWithASecond:
+    """birrt, but slides fail with a budget below one second."""
 
     def __init__(self):
         self.given, self.problem = [], ""
@@ -182,7 +182,7 @@ class SlidesOnlyAtLeisure:
 
 
 def test_a_slide_gets_little_time_until_all_grasps_have_failed(task):
-    search = SlidesOnlyAtLeisure()
+    search = SlidesOnlyWithASecond()
     solution = solve_task(task, Method("birrt", search.build), Budget(seconds=3.0), seed=0)
     assert solution.solved
     seconds = [given for given, _ in search.given]
