@@ -45,10 +45,10 @@ from cvqmpt_lab.cli.options import (
     writable_file,
 )
 from cvqmpt_lab.cli.problem_options import ROBOT, pose_region, robot_source
-from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, find_in_region
+from cvqmpt_lab.constraints.goals import SAMPLE_MARGIN_M, find_in_region
 from cvqmpt_lab.constraints.named import Region
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
-from cvqmpt_lab.planning.pipeline import with_sampled_goals
+from cvqmpt_lab.planning.pipeline import with_drawn_goals
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.urdf import read_urdf
@@ -142,7 +142,7 @@ def _export(args: argparse.Namespace) -> None:
     for index, problem in _problems(args):
         comment = {}
         if args.goals and isinstance(problem, PlanningProblem) and problem.goal_region is not None:
-            problem = with_sampled_goals(problem)[0]
+            problem = with_drawn_goals(problem)
             comment = {
                 "_comment": "These goals are used as they are; delete them to sample new ones from "
                 "goal_region."
@@ -209,7 +209,7 @@ def ik(args: argparse.Namespace) -> int:
     found = find_in_region(
         problem.robot,
         region,
-        problem.collision_checker(SAMPLE_MARGIN),
+        problem.collision_checker(SAMPLE_MARGIN_M),
         np.random.default_rng(args.seed),
         args.count,
         max_poses=max(100, 10 * args.count),

@@ -29,7 +29,7 @@ from cvqmpt_lab.cli.options import (
 )
 from cvqmpt_lab.cli.problem_options import ROBOT, chosen_robot, configuration, pose_region
 from cvqmpt_lab.collision.exact import CollisionChecker
-from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region
+from cvqmpt_lab.constraints.goals import SAMPLE_MARGIN_M, sample_region
 from cvqmpt_lab.constraints.named import NAMED, Region, upper_axis
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.problem import PlanningProblem
@@ -303,7 +303,7 @@ def _start(args: argparse.Namespace, robot: Robot) -> np.ndarray:
     if args.start is not None:
         return configuration(robot, "--start", args.start)
     scene = Scene("none", ()) if args.scene is None else read_scene(args.scene)
-    checker = CollisionChecker(robot, scene, margin=SAMPLE_MARGIN)
+    checker = CollisionChecker(robot, scene, margin=SAMPLE_MARGIN_M)
     rng = np.random.default_rng(args.seed)
     found = sample_region(robot, args.start_pose, checker, rng, count=1)
     if len(found.configurations) == 0:

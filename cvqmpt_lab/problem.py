@@ -39,13 +39,9 @@ from cvqmpt_lab.base.errors import InvalidProblemError, mapping, unique
 from cvqmpt_lab.base.values import FULL_TURN_RAD, Array, Condition, FloatArray, Name, frozen
 from cvqmpt_lab.collision.carried import reach_with
 from cvqmpt_lab.collision.exact import CollisionChecker
-from cvqmpt_lab.constraints.inverse_kinematics import (
-    SAMPLE_MARGIN,
-    contradiction,
-    find_in_region,
-    why_none,
-)
+from cvqmpt_lab.constraints.goals import SAMPLE_MARGIN_M, find_in_region
 from cvqmpt_lab.constraints.named import Region
+from cvqmpt_lab.constraints.no_goal import contradiction, why_none
 from cvqmpt_lab.constraints.project import PROJECTION_TOLERANCE
 from cvqmpt_lab.constraints.report import bounds_text, broken_bound, displacements
 from cvqmpt_lab.constraints.task_space_region import RegionConstraint, TaskSpaceRegionChain
@@ -215,7 +211,7 @@ class PlanningProblem(Document):
     def _drawn_start(self) -> FloatArray:
         """The configuration (n,) in the start region and constraint, always the same one."""
         assert self.start_region is not None
-        checker, rng = self.collision_checker(SAMPLE_MARGIN), np.random.default_rng(0)
+        checker, rng = self.collision_checker(SAMPLE_MARGIN_M), np.random.default_rng(0)
         found = find_in_region(
             self.robot, self.start_region, checker, rng, count=1, within=self.constraint
         )
@@ -260,7 +256,7 @@ class PlanningProblem(Document):
         """Reasons in words why no configuration was found for the goal region; see `why_none`."""
         assert self.goal_region is not None
         return why_none(
-            self.robot, self.goal_region, self.collision_checker(SAMPLE_MARGIN), self.constraint
+            self.robot, self.goal_region, self.collision_checker(SAMPLE_MARGIN_M), self.constraint
         )
 
     def collision_checker(self, margin: float = 0.0) -> CollisionChecker:
@@ -306,33 +302,31 @@ def shared_checker(
 
 def check_problem(problem: PlanningProblem) -> None:
     """Refuse a start or goal in collision, off the manifold or outside the goal region."""
-    for _, what, cure in _faults(problem):
+    for _, what, cure in _faults(problem, problem.goals):
         raise InvalidProblemError(f"{problem.name}: {what}; {cure}")
 
 
-def with_usable_goals(problem: PlanningProblem) -> tuple[PlanningProblem, tuple[str, ...]]:
-    """The problem without the goals that `check_problem` refuses, and why each is left out.
+def usable_goals(problem: PlanningProblem, goals: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Return the goals (k, n) that `check_problem` accepts, and why each other one is left out.
 
     InvalidProblemError: the start is refused, or every goal.
     """
     left_out: dict[int, str] = {}
-    for k, what, cure in _faults(problem):
+    for k, what, cure in _faults(problem, goals):
         left_out.setdefault(k, what)
-        if k < 0 or len(left_out) == len(problem.goals):
+        if k < 0 or len(left_out) == len(goals):
             several = f"none of {len(left_out)} goals can be used: " if len(left_out) > 1 else ""
             raise InvalidProblemError(f"{problem.name}: {several}{what}; {cure}")
-    if not left_out:
-        return problem, ()
-    kept = np.delete(problem.goals, [*left_out], axis=0)
-    return problem.changed(goals=frozen(kept)), tuple(left_out.values())
+    return frozen(np.delete(goals, [*left_out], axis=0)), tuple(left_out.values())
 
 
-def _faults(problem: PlanningProblem) -> Iterator[tuple[int, str, str]]:
-    """Number of a goal (-1: the start), why it cannot be used, and the cure."""
+def _faults(problem: PlanningProblem, goals: np.ndarray) -> Iterator[tuple[int, str, str]]:
+    """Number of a goal of (k, n), or -1 for the start; why it cannot be used; and the cure."""
     checker = problem.collision_checker()
-    states = np.vstack([problem.start, problem.goals])
+    states = np.vstack([problem.start, goals])
     off = np.linalg.norm(problem.manifold.residual(states), axis=1) > PROJECTION_TOLERANCE
-    for k, (label, q) in enumerate(problem.labelled_configurations(), start=-1):
+    for k, q in enumerate(states, start=-1):
+        label = "start" if k < 0 else f"goal {k}"
         if checker.in_collision(q):
             gap = (
                 ", or leave 1 mm between what is carried and what it stands on"
@@ -342,11 +336,11 @@ def _faults(problem: PlanningProblem) -> Iterator[tuple[int, str, str]]:
             found = f"{label} is in collision: {checker.contact(q)}"
             yield k, found, f"choose another configuration{gap}"
         if off[k + 1]:
-            yield k, *_off_manifold(problem, label, q)
+            yield k, *_off_manifold(problem, goals, label, q)
     if problem.goal_region is None:
         return
     lower, upper = problem.goal_region.bounds.T
-    x = displacements(problem.robot, problem.goal_region, problem.goals)
+    x = displacements(problem.robot, problem.goal_region, goals)
     outside = np.maximum(lower - x, x - upper).max(axis=1)
     for k in np.flatnonzero(outside > 1e-3).tolist():
         yield (
@@ -362,18 +356,27 @@ def with_projected_start(problem: PlanningProblem) -> PlanningProblem:
     if start is None:
         raise InvalidProblemError(
             f"{problem.name}: the projection of the start fails: "
-            + "; ".join(_off_manifold(problem, "start", problem.start))
+            + "; ".join(_off_manifold(problem, problem.goals, "start", problem.start))
         )
     return problem.changed(start=frozen(start))
 
 
-def _off_manifold(problem: PlanningProblem, label: str, q: np.ndarray) -> tuple[str, str]:
-    """Which bound a start or goal q (n,) breaks; of a goal region if all its goals do; the cure."""
+def _off_manifold(
+    problem: PlanningProblem, goals: np.ndarray, label: str, q: np.ndarray
+) -> tuple[str, str]:
+    """Return the violated bound and a suggested fix.
+
+    Args:
+        problem: its constraint.
+        goals: all goals (k, n); if they are drawn from a region and none satisfies the constraint,
+            the region is blamed.
+        label: name of the start or goal.
+        q: its configuration (n,) [rad or m].
+    """
     states, broken = q[None], f"{label} breaks"
     cure = "`cvqmpt ik` finds configurations that keep the constraint"
     if label == "start":
         cure += ", --project-start moves this one onto it"
-    goals = problem.goals
     if label != "start" and problem.goal_region is not None:
         residuals = np.linalg.norm(problem.manifold.residual(goals), axis=1)
         if residuals.min() > PROJECTION_TOLERANCE:

@@ -23,7 +23,7 @@ from cvqmpt_lab.experiments.experiment import Experiment
 from cvqmpt_lab.experiments.run import executor_for, result_row, run_experiment
 from cvqmpt_lab.paper_tables.measures import grouped
 from cvqmpt_lab.paper_tables.statements import PUBLISHED
-from cvqmpt_lab.planning.pipeline import solve, with_sampled_goals
+from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.planning.planners import planner_named
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.provenance import cpu_facts, provenance
@@ -155,7 +155,7 @@ def made_with() -> dict[str, str | None]:
 def _problem(suite: str, index: int) -> PlanningProblem:
     problem = suite_named(suite).solvable(index)
     assert isinstance(problem, PlanningProblem), f"{suite} is a suite of tasks"
-    return with_sampled_goals(problem)[0]
+    return problem
 
 
 def measure(

@@ -20,10 +20,11 @@ from cvqmpt_lab.base.errors import CvqmptError, whole_number
 from cvqmpt_lab.benchmarks.item import SensedProblem, SuiteItem, UnsolvableProblem
 from cvqmpt_lab.benchmarks.suite import suite_named
 from cvqmpt_lab.certificate.certificate import Clearance, FaultKind, certify
+from cvqmpt_lab.constraints.goals import Goals, goals_of
 from cvqmpt_lab.experiments.executors import Executor, Lost, dask_cluster, local_processes
 from cvqmpt_lab.experiments.experiment import Experiment, Run, externals_of, weights_of
 from cvqmpt_lab.external.door import external_planner
-from cvqmpt_lab.planning.pipeline import Solution, solve, with_sampled_goals
+from cvqmpt_lab.planning.pipeline import Solution, solve
 from cvqmpt_lab.planning.warm_up import compile_kernels
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.provenance import provenance
@@ -43,8 +44,8 @@ class Outcome(NamedTuple):
     paths: Sequence[np.ndarray] = ()
 
 
-def outcome_of(run: Run, item: SuiteItem, goal_seconds: float) -> Outcome:
-    """Solve an item; goal_seconds [s], of a problem, is charged to the planner.
+def outcome_of(run: Run, item: SuiteItem, goals: Goals | None = None) -> Outcome:
+    """Solve an item; the seconds spent on the goals of a problem are charged to the planner.
 
     The path of a problem in a map is also judged in the scene that the map is of.
     """
@@ -65,8 +66,9 @@ def outcome_of(run: Run, item: SuiteItem, goal_seconds: float) -> Outcome:
         backend=setup.backend,
         optimize=setup.optimize,
         use_cache=not new,
+        goals=goals,
     )
-    row = result_row(run, solution, goal_seconds)
+    row = result_row(run, solution, 0.0 if goals is None else goals.seconds)
     if isinstance(item, SensedProblem):
         whole = item.seconds + time.perf_counter() - began
         row = replace(row, t_sense_s=item.seconds, t_whole_s=whole)
@@ -286,12 +288,12 @@ def _installed(experiment: Experiment) -> dict[str, object]:
 def _run_in_worker(one_run_a_planner: tuple[Run, ...], run: Run) -> Outcome:
     """Outcome of a run; an unexpected error fails this run alone."""
     _warm_up(tuple(one for one in one_run_a_planner if not one.method.external))
-    item, seconds = _item(run.experiment.suite, run.item)
+    item, goals = _item(run.experiment.suite, run.item)
     try:
         # in its own run: it may hang
         if run.method.external and not external_planner(run.planner).process.has_planned:
             _run_shortly(run)
-        return outcome_of(run, item, seconds)
+        return outcome_of(run, item, goals)
     except (CvqmptError, MemoryError):
         raise
     except Exception as error:
@@ -310,7 +312,7 @@ def _warm_up(runs: tuple[Run, ...]) -> None:
 
 def _run_shortly(run: Run) -> None:
     """Plan for a few seconds at most (our planners: one iteration); discard the result."""
-    item, seconds = _item(run.experiment.suite, run.item)
+    item, goals = _item(run.experiment.suite, run.item)
     budget = run.experiment.budget
     if run.method.external:
         budget = replace(budget, seconds=min(WARM_UP_S, budget.seconds or WARM_UP_S))
@@ -321,11 +323,11 @@ def _run_shortly(run: Run) -> None:
     alone = replace(
         run.experiment, problems=problems, planners=planners, seeds=seeds, budget=budget
     )
-    outcome_of(run._replace(experiment=alone), item, seconds)
+    outcome_of(run._replace(experiment=alone), item, goals)
 
 
 @lru_cache(maxsize=4)
-def _item(suite: str, index: int | str) -> tuple[SuiteItem, float]:
-    """An item, with goals sampled once for all planners, and the seconds [s] that took."""
+def _item(suite: str, index: int | str) -> tuple[SuiteItem, Goals | None]:
+    """An item, and the goals of a problem, drawn once for all planners."""
     item = suite_named(suite).item(index)
-    return with_sampled_goals(item) if isinstance(item, PlanningProblem) else (item, 0.0)
+    return item, goals_of(item) if isinstance(item, PlanningProblem) else None

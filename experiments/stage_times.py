@@ -13,7 +13,7 @@ import numpy as np
 
 from cvqmpt_lab.benchmarks.place_task import TUNING_ENVIRONMENTS, place_problem
 from cvqmpt_lab.certificate.certificate import certify
-from cvqmpt_lab.planning.pipeline import with_sampled_goals
+from cvqmpt_lab.planning.pipeline import with_drawn_goals
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.search.birrt import BiRRT
 from cvqmpt_lab.search.planner_interface import Uniform
@@ -73,8 +73,8 @@ def stage_times(problems: int) -> list[Measured]:
     for problem in tuning_problems(problems):
         rng = np.random.default_rng(0)
         uniform = Uniform(problem.robot.lower, problem.robot.upper)
-        posed, _ = clock("goals", with_sampled_goals, problem)
-        space = clock("space", ConstrainedSpace, posed)
+        posed = clock("goals", with_drawn_goals, problem)
+        space = clock("space", ConstrainedSpace.of, posed)
         budget = Budget(iterations=20_000)
         search = BiRRT().search
         plan = clock("search", search, space, posed.start, posed.goals, uniform, budget, rng)

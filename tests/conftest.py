@@ -13,7 +13,7 @@ from refusals import DATA
 from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.benchmarks.kitchen import kitchen
 from cvqmpt_lab.benchmarks.place_task import DOOR, DOOR_ANGLE, multi_sequence_task, place_problem
-from cvqmpt_lab.planning.pipeline import solve, with_sampled_goals
+from cvqmpt_lab.planning.pipeline import solve, with_drawn_goals
 from cvqmpt_lab.robot.load import load_robot, robot_from_source
 from cvqmpt_lab.scene.cloud_files import write_cloud
 from cvqmpt_lab.scene.scene import SceneObject
@@ -84,7 +84,7 @@ def published(tmp_path, published_states):
 @pytest.fixture(scope="session")
 def problem():
     """Environment 0 of the place task with its goals."""
-    return with_sampled_goals(place_problem(0))[0]
+    return with_drawn_goals(place_problem(0))
 
 
 @pytest.fixture(scope="session")

@@ -55,7 +55,7 @@ def test_no_turn_of_the_hand_within_the_slack_breaks_a_bound(problem, inside):
 
 
 def test_a_start_that_is_closer_lowers_the_margin_and_is_named(problem):
-    inner, used, why = with_margin(problem, Margin(metres=0.09))
+    inner, used, why = with_margin(problem, problem.goals, Margin(metres=0.09))
     room = problem.collision_checker().nearest_obstacle(problem.start).distance
     assert (
         inner.clearance == used.metres < min(room, 0.09) and "start is" in why and "mm from" in why

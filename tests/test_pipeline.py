@@ -14,7 +14,7 @@ from cvqmpt_lab.base.processes import end_with_parent, one_thread
 from cvqmpt_lab.benchmarks.place_task import place_problem
 from cvqmpt_lab.certificate.certificate import certify
 from cvqmpt_lab.collision.exact import CollisionChecker
-from cvqmpt_lab.planning.pipeline import NEAR_GOALS, solve, solve_many, with_sampled_goals
+from cvqmpt_lab.planning.pipeline import NEAR_GOALS, solve, solve_many, with_drawn_goals
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.scene.scene import Scene, SceneObject
@@ -127,7 +127,7 @@ def test_near_goals_are_tried_first_where_joints_turn_more_than_once():
     ("number", "planner", "backend"), [(0, "birrt", "exact"), (1, "ompl-projected", "compiled")]
 )
 def test_four_threads_find_the_paths_and_verdicts_of_one(four_threads, number, planner, backend):
-    problem, _ = with_sampled_goals(place_problem(number))
+    problem = with_drawn_goals(place_problem(number))
 
     def planned(seed):
         how = {"backend": backend, "clearance": False}

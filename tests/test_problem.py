@@ -13,8 +13,8 @@ from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.benchmarks.place_task import door_problem, place_problem
 from cvqmpt_lab.collision.arrays import robot_arrays, robot_swing, scene_arrays
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, upright
-from cvqmpt_lab.planning.pipeline import with_sampled_goals
-from cvqmpt_lab.problem import PlanningProblem, check_problem, with_usable_goals
+from cvqmpt_lab.planning.pipeline import with_drawn_goals
+from cvqmpt_lab.problem import PlanningProblem, check_problem, usable_goals
 from cvqmpt_lab.robot.load import group_states
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box
@@ -83,18 +83,21 @@ def test_goals_that_cannot_be_used_are_left_out_while_one_is_left(problem):
     k, goals = int(np.flatnonzero(~met)[0]), problem.goals.copy()
     goals[k, 6] += 0.4 if goals[k, 6] < 0 else -0.4
     hindered = replace(hindered, goals=goals)
-    found, left_out = with_usable_goals(hindered)
+    found, left_out = usable_goals(hindered, goals)
     reasons = {int(text.split()[1]): text for text in left_out}
     assert met[2] and sorted(reasons) == sorted([*np.flatnonzero(met), k])
     assert "brick" in reasons[2] and "breaks `upright-box`" in reasons[k]
-    np.testing.assert_array_equal(found.goals, np.delete(goals, [*reasons], axis=0))
-    check_problem(found)
-    assert with_usable_goals(problem) == (problem, ())
+    np.testing.assert_array_equal(found, np.delete(goals, [*reasons], axis=0))
+    check_problem(replace(hindered, goals=found))
+    every, none = usable_goals(problem, problem.goals)
+    assert none == () and (every == problem.goals).all()
     alone = replace(hindered, goals=goals[[2, k]])
     told = r"none of 2 goals can be used: goal 1 breaks `upright-box`.*; `cvqmpt ik` finds"
-    refused(told, with_usable_goals, alone, error=InvalidProblemError)
+    refused(told, usable_goals, alone, alone.goals, error=InvalidProblemError)
     at_start = replace(problem, scene=with_brick(problem, problem.robot.pose(problem.start)))
-    refused("start is in collision", with_usable_goals, at_start, error=InvalidProblemError)
+    refused(
+        "start is in collision", usable_goals, at_start, at_start.goals, error=InvalidProblemError
+    )
 
 
 def with_brick(problem, T):
@@ -177,7 +180,7 @@ def vars_of(value):
 @pytest.mark.parametrize("with_door", [False, True])
 def test_nothing_that_problems_share_can_be_written_to(with_door):
     problem = door_problem(0) if with_door else place_problem(0, with_can=True)
-    problem = with_sampled_goals(problem)[0]
+    problem = with_drawn_goals(problem)
     _ = problem.robot.turning, problem.manifold.regions, problem.robot.kinematics_digest
     robot, load = problem.robot, problem.attachments
     cached = robot_arrays(robot, load), robot_swing(robot, load), scene_arrays(problem.scene, 1.0)

@@ -17,10 +17,14 @@ from cvqmpt_lab.benchmarks.families import FAMILIES, family_scene
 from cvqmpt_lab.benchmarks.item import UnsolvableProblem
 from cvqmpt_lab.benchmarks.kitchen import kitchen
 from cvqmpt_lab.benchmarks.place_task import GRIP, carried_can, handle_region, place_problem
-from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region
+from cvqmpt_lab.constraints.goals import (
+    SAMPLE_MARGIN_M,
+    goals_in_any_posture,
+    on_manifold,
+    sample_region,
+)
 from cvqmpt_lab.constraints.named import line, plane
 from cvqmpt_lab.constraints.task_space_region import FREE, TaskSpaceRegion, upright_box
-from cvqmpt_lab.planning.pipeline import with_sampled_goals
 from cvqmpt_lab.problem import PlanningProblem, shared_checker
 from cvqmpt_lab.results.row import phase_problem
 from cvqmpt_lab.robot.load import panda, robot_from_source
@@ -313,20 +317,21 @@ def _posed(kind: str, number: int, name: str, rng: np.random.Generator) -> Plann
         name, robot, scene, middle, middle[None], (hand.region,), attachments=hand.attachments
     )
     if hand.start is not None:
-        checker = problem.collision_checker(SAMPLE_MARGIN)
+        checker = problem.collision_checker(SAMPLE_MARGIN_M)
         start = next(
             iter(sample_region(robot, hand.start, checker, rng, count=1).configurations), None
         )
         goal = hand.goal
     else:
-        start, end = blocked_pair(problem, rng, SAMPLE_MARGIN, MOVED, draws=600) or (None, None)
+        start, end = blocked_pair(problem, rng, SAMPLE_MARGIN_M, MOVED, draws=600) or (None, None)
         goal = (
             None if end is None else TaskSpaceRegion(robot.pose(end), np.eye(4), np.zeros((6, 2)))
         )
     if start is None:
         return None
     problem = replace(problem, start=start, goals=np.empty((0, robot.dof)), goal_region=goal)
-    return with_sampled_goals(problem)[0]
+    goals = on_manifold(problem, goals_in_any_posture(problem).configurations)
+    return problem.changed(goals=goals)
 
 
 def _drawn(kind: str, number: int, rng: np.random.Generator) -> tuple[Scene, Robot, HandConstraint]:
@@ -337,7 +342,7 @@ def _drawn(kind: str, number: int, rng: np.random.Generator) -> tuple[Scene, Rob
     families, robot = tuple(FAMILIES), panda()
     # numbers that no other suite uses begin at 2500
     scene = family_scene(families[number % len(families)], 2500 + number)
-    checker = shared_checker(robot, scene, (), SAMPLE_MARGIN)
+    checker = shared_checker(robot, scene, (), SAMPLE_MARGIN_M)
     drawn = robot.random_configurations(rng, 100)
     free = next((q for q in drawn if not checker.in_collision(q)), drawn[0])
     return scene, robot, KINDS[kind](robot.pose(free), rng)

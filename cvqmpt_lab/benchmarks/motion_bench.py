@@ -31,7 +31,7 @@ from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.base.files import make_folder, read_bytes, write_bytes, yaml_value
 from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.benchmarks.item import UnsolvableProblem
-from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region
+from cvqmpt_lab.constraints.goals import SAMPLE_MARGIN_M, sample_region
 from cvqmpt_lab.constraints.named import upper_axis
 from cvqmpt_lab.constraints.task_space_region import (
     FREE,
@@ -262,7 +262,7 @@ def level_problem(index: int, tilt: float = 0.1) -> PlanningProblem | Unsolvable
     found = motion_bench_problem(index)
     if isinstance(found, UnsolvableProblem):
         return found
-    robot, checker = found.robot, found.collision_checker(SAMPLE_MARGIN)
+    robot, checker = found.robot, found.collision_checker(SAMPLE_MARGIN_M)
     axis = upper_axis(robot.pose(found.goals[0]))
     level, steady = upright(tilt, axis), upright(0.2 * tilt, axis)
     apart = RegionConstraint(robot, (level,))

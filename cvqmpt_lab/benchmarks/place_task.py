@@ -33,7 +33,12 @@ from cvqmpt_lab.base.poses import pose, rigid
 from cvqmpt_lab.benchmarks.item import UnsolvableProblem
 from cvqmpt_lab.benchmarks.kitchen import kitchen
 from cvqmpt_lab.collision.exact import CollisionChecker
-from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region
+from cvqmpt_lab.constraints.goals import (
+    SAMPLE_MARGIN_M,
+    goals_in_any_posture,
+    on_manifold,
+    sample_region,
+)
 from cvqmpt_lab.constraints.task_space_region import (
     FREE,
     UPRIGHT_ROTATION,
@@ -41,7 +46,6 @@ from cvqmpt_lab.constraints.task_space_region import (
     TaskSpaceRegionChain,
     upright_box,
 )
-from cvqmpt_lab.planning.pipeline import drawn_goals, with_sampled_goals
 from cvqmpt_lab.problem import PlanningProblem, shared_checker
 from cvqmpt_lab.results.row import PAPER_PHASES, FailReason
 from cvqmpt_lab.robot.load import FINGER_OPENING, panda, robot_from_source
@@ -155,7 +159,7 @@ def with_first_goal(
     """A problem with the first goal that is drawn for it alone."""
     if isinstance(problem, UnsolvableProblem):
         return problem
-    found = drawn_goals(problem)
+    found = goals_in_any_posture(problem)
     if len(found.configurations) == 0:
         return UnsolvableProblem(problem.name, f"no goal: {found.outcome}", FailReason.NO_GOAL)
     return problem.changed(goals=found.configurations[:1])
@@ -206,7 +210,7 @@ def problem_between(
     what: is drawn, in words.
     """
     robot = robot_from_source({"name": "panda"})
-    checker = shared_checker(robot, scene, attachments, SAMPLE_MARGIN)
+    checker = shared_checker(robot, scene, attachments, SAMPLE_MARGIN_M)
     starts = sample_region(robot, ends[0], checker, rng, count=1)
     if len(starts.configurations) == 0:
         return UnsolvableProblem(name, f"no {what}: {starts.outcome}")
@@ -255,7 +259,7 @@ def door_problem(seed: int, goals_needed: int = 10) -> PlanningProblem | Unsolva
 
     Args:
         seed: of the start grasp.
-        goals_needed: in whose posture so many of `pipeline.MAX_GOALS` are found; one that reaches
+        goals_needed: in whose posture so many of `goals.MAX_GOALS` are found; one that reaches
             fewer stands at a limit and may get stuck.
     """
     scene, robot = door_world()
@@ -275,7 +279,7 @@ def door_problem(seed: int, goals_needed: int = 10) -> PlanningProblem | Unsolva
             constraint=(handle_region(),),
             goal_region=goal,
         )
-        if len(with_sampled_goals(problem)[0].goals) >= goals_needed:
+        if len(on_manifold(problem, goals_in_any_posture(problem).configurations)) >= goals_needed:
             return problem
     return UnsolvableProblem(
         str(seed), f"no start grasp whose posture reaches the goal: {starts.outcome}"
@@ -305,7 +309,7 @@ def multi_sequence_task(number: int) -> Task:
         )
     robot = robot_from_source({"name": "panda"})
     rng = np.random.default_rng(100 + number)
-    checker = CollisionChecker(robot, sequence_world(), margin=SAMPLE_MARGIN)
+    checker = CollisionChecker(robot, sequence_world(), margin=SAMPLE_MARGIN_M)
     start = robot.random_configurations(rng, 1)[0]
     while checker.in_collision(start):
         start = robot.random_configurations(rng, 1)[0]

@@ -10,13 +10,8 @@ from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.base.poses import pose, rigid
 from cvqmpt_lab.benchmarks.hold_handle import BAR, Grip, hold_of
 from cvqmpt_lab.collision.exact import CollisionChecker
-from cvqmpt_lab.constraints.inverse_kinematics import (
-    SAMPLE_MARGIN,
-    first_guesses,
-    hand_reach,
-    sample_region,
-    solve_poses,
-)
+from cvqmpt_lab.constraints.goals import SAMPLE_MARGIN_M, first_guesses, sample_region, solve_poses
+from cvqmpt_lab.constraints.no_goal import hand_reach
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.planning.margins import Margin
 from cvqmpt_lab.robot.robot import SLOW_SPEED
@@ -272,13 +267,13 @@ def _furniture(
 def _start(task: Task, hold: Grip) -> np.ndarray | None:
     """A configuration (n,) at the end of the task; None if the hand does not get to all poses."""
     robot, rng = hold.robot, np.random.default_rng(0)
-    checker = CollisionChecker(robot, task.scene, margin=SAMPLE_MARGIN)
+    checker = CollisionChecker(robot, task.scene, margin=SAMPLE_MARGIN_M)
     reach, away = (phase for phase in task.phases if isinstance(phase, Move))
     turn = next(phase for phase in task.phases if isinstance(phase, Turn))
     *_, slide = (phase for phase in task.phases if isinstance(phase, Slide))
     opened = task.scene.with_joint(task.name, turn.value)
     last = turn.goal.at(opened[turn.goal.base].T_world_object)
-    there = CollisionChecker(robot, opened, margin=SAMPLE_MARGIN)
+    there = CollisionChecker(robot, opened, margin=SAMPLE_MARGIN_M)
     back = TaskSpaceRegion(last.T0_w, last.Tw_e @ pose(slide.translation), np.zeros((6, 2)))
     for region, check in (
         (reach.goal, checker),

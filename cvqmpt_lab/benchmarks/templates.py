@@ -14,8 +14,9 @@ from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.benchmarks.two_arms import two_arms_template
 from cvqmpt_lab.collision.exact import CollisionChecker
-from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, hand_reach
+from cvqmpt_lab.constraints.goals import SAMPLE_MARGIN_M, goals_in_any_posture
 from cvqmpt_lab.constraints.named import upper_axis
+from cvqmpt_lab.constraints.no_goal import hand_reach
 from cvqmpt_lab.constraints.task_space_region import (
     FREE,
     ROWS_TEXT,
@@ -163,8 +164,8 @@ def _solved(problem: PlanningProblem, matters: bool) -> bool:
         return False
     if not matters:
         return True
-    space, last = ConstrainedSpace.of(solution.problem), solution.path.states[-1]
-    goals = (last, *solution.problem.goals[1::2])
+    space, last = ConstrainedSpace.of(problem), solution.path.states[-1]
+    goals = (last, *goals_in_any_posture(problem).configurations[1::2])
     return all(direct_motion(space, problem.start, goal) is None for goal in goals)
 
 
@@ -216,7 +217,7 @@ def _ends(
     robot: Robot, scene: Scene, layout: Layout, top: float, axis: Axis
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Pairs of free configurations (n,) on the manifold, beside the wall; order of `_central`."""
-    checker = CollisionChecker(robot, scene, margin=SAMPLE_MARGIN)
+    checker = CollisionChecker(robot, scene, margin=SAMPLE_MARGIN_M)
     reach, origin = hand_reach(robot), robot.kinematics.translation[0]
     x, y, z = (reach * share for share in layout.hand)
     sides = []

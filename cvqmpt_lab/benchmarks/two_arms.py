@@ -17,12 +17,7 @@ from cvqmpt_lab.benchmarks.hold_handle import outward, pieces_of
 from cvqmpt_lab.benchmarks.item import UnsolvableProblem
 from cvqmpt_lab.benchmarks.place_task import with_first_goal
 from cvqmpt_lab.collision.exact import CollisionChecker
-from cvqmpt_lab.constraints.inverse_kinematics import (
-    SAMPLE_MARGIN,
-    find_in_region,
-    first_guesses,
-    solve_poses,
-)
+from cvqmpt_lab.constraints.goals import SAMPLE_MARGIN_M, find_in_region, first_guesses, solve_poses
 from cvqmpt_lab.constraints.named import relative_pose
 from cvqmpt_lab.constraints.task_space_region import FREE, TaskSpaceRegion, symmetric_region
 from cvqmpt_lab.planning.pipeline import solve
@@ -165,7 +160,7 @@ def hold(
         symmetric_region(pose(middle + reach * np.array(end)), np.eye(4), [0.05 * reach] * 6)
         for end in (layout.start, layout.goal)
     ]
-    checker = CollisionChecker(robot, Scene("none", ()), margin=SAMPLE_MARGIN)
+    checker = CollisionChecker(robot, Scene("none", ()), margin=SAMPLE_MARGIN_M)
     scores: dict[str, list[tuple[int, np.ndarray]]] = {}
     T_world_item = np.concatenate([region.sample_poses(rng, poses // 2) for region in around])
     for style in layout.held:
@@ -249,7 +244,7 @@ def carrying_problem(
             symmetric_region(pose(end), T_item_hand, [width] * 3 + [0.0, 0.0, 0.3])
             for end, width in zip(ends, (0.02, 0.01), strict=True)
         ]
-        checker = CollisionChecker(robot, scene, (item,), margin=SAMPLE_MARGIN)
+        checker = CollisionChecker(robot, scene, (item,), margin=SAMPLE_MARGIN_M)
         ends_found, near = [], None
         for region in regions:
             # a goal in a posture like the start's: both hands cannot change it while they hold on

@@ -7,9 +7,10 @@ import numpy as np
 
 from cvqmpt_lab.base.errors import InvalidInputError, InvalidProblemError
 from cvqmpt_lab.certificate.certificate import deviation_tolerated
+from cvqmpt_lab.constraints.goals import Goals, goals_of
 from cvqmpt_lab.constraints.project import PROJECTION_TOLERANCE
 from cvqmpt_lab.constraints.report import displacements, excess
-from cvqmpt_lab.planning.pipeline import Solution, solve, with_sampled_goals
+from cvqmpt_lab.planning.pipeline import Solution, solve
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.search.method import Method
 from cvqmpt_lab.search.result import Budget
@@ -33,15 +34,23 @@ class Margin(NamedTuple):
 NO_MARGIN = Margin(0.0, 0.0)
 
 
-def with_margin(problem: PlanningProblem, margin: Margin) -> tuple[PlanningProblem, Margin, str]:
-    """The problem inside by a margin, or by what start and goals have; which, and why by less.
+def with_margin(
+    problem: PlanningProblem, goals: np.ndarray, margin: Margin
+) -> tuple[PlanningProblem, Margin, str]:
+    """Tighten bounds by a margin, limited by the slack of start and goals.
 
     Bounds of width 0 stay, such as those of a hand that holds a door.
 
-    problem: with its goals.
+    Args:
+        problem: the problem.
+        goals: its goals (k, n) [rad or m].
+        margin: of tracking error.
+
+    Returns:
+        The tighter problem, the margin used, and the reason if it is smaller.
     """
     why, rooms, slacks, checker = [], [], [], problem.collision_checker()
-    for what, states in (("start", problem.start[None]), ("best goal", problem.goals)):
+    for what, states in (("start", problem.start[None]), ("best goal", goals)):
         # distance from obstacles [m] and slack in bounds [rad, m] of the best state
         found = (checker.nearest_obstacle(q) for q in states)
         nearest = max(found, key=lambda it: it.distance)
@@ -93,28 +102,28 @@ def solve_with_margin(
     margin.check()
     if margin == NO_MARGIN:
         return solve(problem, method, budget, seed, **options), "none asked for"
-    problem, goal_seconds = with_sampled_goals(problem)
-    if len(problem.goals) == 0:
-        return solve(problem, method, budget, seed, **options), "none: no goal"
-    inner, used, why = with_margin(problem, margin)
+    goals: Goals = options.pop("goals", None) or goals_of(problem)
+    if len(goals.configurations) == 0:
+        return solve(problem, method, budget, seed, goals=goals, **options), "none: no goal"
+    inner, used, why = with_margin(problem, goals.configurations, margin)
     found: Solution | None = None
     try:
-        found = solve(inner, method, budget.share(0.5), seed, **options)
+        found = solve(inner, method, budget.share(0.5), seed, goals=goals, **options)
     except InvalidProblemError as error:
         why = "; ".join(filter(None, (why, str(error))))
     if found is None or not found.solved:
         if found is not None:
             why = "; ".join(filter(None, (why, f"no path inside by it: {found.plan.status}")))
-        plain = solve(problem, method, budget.share(0.5), seed, **options)
+        plain = solve(problem, method, budget.share(0.5), seed, goals=goals, **options)
         return plain, f"none of {_text(margin)}: {why}"
     assert found.certificate is not None and found.path is not None
     rooms = (found.certificate.obstacle_clearance, found.certificate.self_clearance)
     tolerated = deviation_tolerated(problem, found.path.states, rooms)
     found = replace(
         found,
-        problem=problem.changed(goals=found.problem.goals),
+        problem=problem,
         certificate=replace(found.certificate, tolerated=tolerated),
-        goal_seconds=goal_seconds,
+        goal_seconds=goals.seconds,
     )
     return found, f"{_text(used)}{why and f' of {_text(margin)}: {why}'}"
 

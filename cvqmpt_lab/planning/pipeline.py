@@ -3,7 +3,7 @@
 import logging
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -11,16 +11,12 @@ import numpy as np
 
 from cvqmpt_lab.base.errors import require_kind, whole_number
 from cvqmpt_lab.base.processes import one_thread
-from cvqmpt_lab.base.values import frozen
 from cvqmpt_lab.certificate.certificate import Certificate, certify
-from cvqmpt_lab.constraints.inverse_kinematics import GoalSample, reaches_no_pose
-from cvqmpt_lab.constraints.project import PROJECTION_TOLERANCE
-from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegionChain
+from cvqmpt_lab.constraints.goals import Goals, goals_of
 from cvqmpt_lab.planning.planners import planner_named, require_fit
-from cvqmpt_lab.problem import PlanningProblem, check_problem, with_usable_goals
+from cvqmpt_lab.problem import PlanningProblem, check_problem, usable_goals
 from cvqmpt_lab.search.anytime import Improvement, check_units, improve, restarted
 from cvqmpt_lab.search.birrt import BiRRT
-from cvqmpt_lab.search.goals import sample_goals
 from cvqmpt_lab.search.method import Method
 from cvqmpt_lab.search.planner_interface import (
     Observation,
@@ -35,8 +31,8 @@ from cvqmpt_lab.search.result import Budget, Counters, JointPath, PlanResult, Pl
 from cvqmpt_lab.search.shortcut import Simplified, simplify
 from cvqmpt_lab.search.space import ConstrainedSpace
 
-MAX_GOALS = 20
-NEAR_GOALS = 5  # that are tried first where joints turn more than once
+SAME_STATE_RAD = 1e-9  # a goal this close to the start is the start
+NEAR_GOALS = 5  # searched first where joints turn more than once, see `near_goals_first`
 LOAD = "PlanningProblem.load(path) reads a file; a Task is for solve_task"
 _log = logging.getLogger("cvqmpt")
 
@@ -45,7 +41,7 @@ _log = logging.getLogger("cvqmpt")
 class Solution:
     """The result of a problem."""
 
-    problem: PlanningProblem  # with its goals
+    problem: PlanningProblem
     plan: PlanResult
     simplified: Simplified | None = None  # none without a path
     certificate: Certificate | None = None  # of the shortened path; None without one
@@ -57,6 +53,8 @@ class Solution:
     # that the search drew from; None where it drew from none
     distribution: SamplingDistribution | None = None
     left_out: tuple[str, ...] = ()  # goals that the problem had and that cannot be used, and why
+    # (k, n) that were searched: the given ones that can be used, or those drawn [rad or m]
+    goals: np.ndarray = field(default_factory=lambda: np.empty((0, 0)))
 
     def __repr__(self) -> str:
         plan, path, sure = self.plan, self.path, self.certificate
@@ -100,6 +98,7 @@ def solve(
     optimize: Budget | None = None,
     use_cache: bool = True,
     near_goals_first: bool = False,
+    goals: Goals | None = None,
 ) -> Solution:
     """Draw goals, observe, predict, update, search, shorten, certify; search on if it is refused.
 
@@ -116,8 +115,9 @@ def solve(
         clearance: whether the certificate measures the smallest distance.
         optimize: budget for shorter paths after the first one; the result is never longer.
         use_cache: False charges the planner for all that it computes from the cloud, cached or not.
-        near_goals_first: where hinges turn more than once, the nearest goals are tried alone first:
-            others are whole turns away.
+        near_goals_first: where hinges turn more than once, the nearest goals are searched alone
+            first: others are whole turns away. Drawn goals near the start always are.
+        goals: as `goals_of` returns them for the problem; None: they are found here.
 
     Raises:
         InvalidProblemError: the start, or every goal, collides or violates the constraint.
@@ -133,24 +133,33 @@ def solve(
     method = planner_named(method) if isinstance(method, str) else method
     require_kind("method", method, Method, "or the name of a planner")
     called = time.perf_counter()
-    problem, goal_seconds = with_sampled_goals(problem)
-    if len(problem.goals) == 0:
+    given = goals is not None
+    goals = goals_of(problem) if goals is None else goals
+    goal_seconds = 0.0 if given else goals.seconds
+    if len(goals.configurations) == 0:
         check_problem(problem)  # a start that cannot be used is named first
-        reason = f"no goal: {drawn_goals(problem).outcome}; {problem.why_no_goal()}"
+        reason = f"no goal: {goals.outcome}; {problem.why_no_goal()}"
         return Solution(problem, no_plan(PlanStatus.NO_GOAL, reason), goal_seconds=goal_seconds)
-    problem, left_out = with_usable_goals(problem)
+    usable, left_out = usable_goals(problem, goals.configurations)
+    goals = replace(goals, configurations=usable)
     require_fit(method, problem)
-    stages = method.stages(problem)
+    if np.abs(usable - problem.start).max(axis=1).min() <= SAME_STATE_RAD:
+        return _standing(problem, usable, left_out, goal_seconds, clearance)
+    # an external planner finds its goals in the problem
+    stages = method.stages(problem.changed(goals=usable) if method.external else problem)
     began = time.perf_counter()
     cloud = None if stages.observe is None else stages.observe(problem.scene)
     observe_seconds = time.perf_counter() - began
-    _log.info("%d goals in %.1f ms", len(problem.goals), 1e3 * goal_seconds)
+    _log.info("%d goals in %.1f ms", len(usable), 1e3 * goal_seconds)
     _log.info("cloud of %s points", "no" if cloud is None else len(cloud))
-    space, rng = ConstrainedSpace.of(problem, backend), problem.random_stream(seed)
+    space = ConstrainedSpace.of(problem, backend, ends=np.vstack([problem.start, usable]))
+    rng = problem.random_stream(seed)
 
-    query = Query.of(space, problem.start, problem.goals, budget, rng, seed)
+    query = Query.of(space, problem.start, usable, budget, rng, seed)
     tree_search = stages.search or BiRRT()
-    near = NEAR_GOALS if near_goals_first and problem.robot.turning.any() else 0
+    near = goals.near(problem.start)
+    if near_goals_first and problem.robot.turning.any():
+        near = max(near, NEAR_GOALS)
     attempts: list[_Attempt] = []
     observed = Observation(cloud, use_cache)
     for attempt in _attempts(problem, query, stages, observed, tree_search, near, clearance):
@@ -174,7 +183,7 @@ def solve(
     if shorter is not None and optimize is not None and not plan.as_is:
         rng = problem.random_stream(seed, 1)
         paths = stages.path_source or partial(restarted, tree_search, proposal.distribution)
-        better_query = Query.of(space, problem.start, problem.goals, optimize, rng)
+        better_query = Query.of(space, problem.start, usable, optimize, rng)
         shortest, improvement = improve(better_query, paths, shorter.path)
         better = certify(problem, shortest, clearance=clearance)
         if better.valid:
@@ -192,6 +201,39 @@ def solve(
         improvement,
         proposal.distribution if sampled else None,
         left_out,
+        usable,
+    )
+
+
+def _standing(
+    problem: PlanningProblem,
+    goals: np.ndarray,
+    left_out: tuple[str, ...],
+    goal_seconds: float,
+    clearance: bool,
+) -> Solution:
+    """The solution of a problem whose start is a goal: an empty path, without any search.
+
+    Args:
+        problem: the problem.
+        goals: (k, n) [rad or m].
+        left_out: goals that cannot be used, and why.
+        goal_seconds: spent on drawing goals [s].
+        clearance: whether the certificate measures the smallest distance.
+    """
+    path = JointPath(np.array([problem.start, problem.start]))
+    detail = "the start is a goal: the path is empty"
+    plan = PlanResult(PlanStatus.SOLVED, path, 0.0, Counters(), 0, "none", detail=detail)
+    certificate = certify(problem, path, clearance=clearance)
+    return Solution(
+        problem,
+        plan,
+        Simplified(path, 0.0, Counters()),
+        certificate,
+        goal_seconds,
+        wall_seconds=0.0,
+        left_out=left_out,
+        goals=goals,
     )
 
 
@@ -280,53 +322,6 @@ def no_plan(status: PlanStatus, detail: str = "") -> PlanResult:
     return PlanResult(status, None, 0.0, Counters(), 0, "none", detail=detail)
 
 
-def with_sampled_goals(problem: PlanningProblem) -> tuple[PlanningProblem, float]:
-    """The problem with goals drawn from its region if it has none, and the seconds spent.
-
-    Goals off the manifold are left out, unless all are: then `with_usable_goals` names the bound.
-    """
-    if len(problem.goals) > 0 or problem.goal_region is None:
-        return problem, 0.0
-    began = time.perf_counter()
-    found = drawn_goals(problem).configurations
-    kept = found[_on_manifold(problem, found)]
-    posed = problem.changed(goals=frozen(kept if len(kept) else found))
-    return posed, time.perf_counter() - began
-
-
-def drawn_goals(problem: PlanningProblem) -> GoalSample:
-    """Goals from the problem's goal region, and how many poses gave none.
-
-    They depend on the problem's start alone: all planners and seeds get the same. Where the hand
-    holds a door, goals have the door where the hand takes it, and an arm posture like the start's:
-    most others require letting go. Configurations are projected onto region and constraint where
-    the robot `reaches_no_pose` or no goal for a pose keeps the constraint.
-    """
-    rng, region = problem.random_stream(), problem.goal_region
-    assert region is not None
-    held = [part for part in problem.constraint if isinstance(part, TaskSpaceRegionChain)]
-    near = problem.start if held else None
-    sampled = partial(sample_goals, problem, rng, MAX_GOALS, near=near)
-    drawn = None
-    if problem.closed_chain:
-        # few postures of two hands come near to that of the start
-        sampled = partial(_near_and_far, problem, rng)
-    if not reaches_no_pose(problem.robot, region):
-        drawn = sampled(within=held)
-        # a region of one pose has no other
-        if _on_manifold(problem, drawn.configurations).any() or not np.ptp(region.Bw, axis=1).any():
-            return drawn
-    projected = sampled(within=problem.constraint, project=True)
-    return projected if drawn is None or len(projected.configurations) else drawn
-
-
-def _near_and_far(problem: PlanningProblem, rng: np.random.Generator, **options: Any) -> GoalSample:
-    """Goals in postures like the start's, and others where these are few."""
-    like = sample_goals(problem, rng, MAX_GOALS, near=problem.start, **options)
-    missing = MAX_GOALS - len(like.configurations)
-    return like.with_more(sample_goals(problem, rng, missing, **options)) if missing else like
-
-
-def _on_manifold(problem: PlanningProblem, states: np.ndarray) -> np.ndarray:
-    """Which of states (k, n) keep the constraint."""
-    return np.linalg.norm(problem.manifold.residual(states), axis=1) <= PROJECTION_TOLERANCE
+def with_drawn_goals(problem: PlanningProblem) -> PlanningProblem:
+    """The problem with the goals given that planning would draw from its region."""
+    return problem.changed(goals=goals_of(problem).configurations)

@@ -32,7 +32,7 @@ def solution_lines(solution: Solution, planner: str, why: str = "") -> list[str]
         constraint = "all entries free"
     simplify = f", simplify {1e3 * shorter.seconds:.1f} ms" if shorter else ""
     lines = [
-        f"problem     {problem.name}: robot {problem.robot.name}, {len(problem.goals)} goals",
+        f"problem     {problem.name}: robot {problem.robot.name}, {len(solution.goals)} goals",
         *_left_out(solution.left_out),
         f"constraint  {constraint}",
         f"planner     {planner}{why and f' ({why})'}, samples: {plan.sampler}",
@@ -131,7 +131,7 @@ def solution_data(
         "problem": problem.name,
         "robot": problem.robot.name,
         "joints": list(problem.robot.joint_names),
-        "goals": len(problem.goals),
+        "goals": len(solution.goals),
         "goals_left_out": list(solution.left_out),
         "constraint": [vars(use) for use in uses_of(solution)],
         "planner": planner,

@@ -8,7 +8,7 @@ import numpy as np
 
 from cvqmpt_lab.base.jit import compile_all, compiled_before
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, upright_box
-from cvqmpt_lab.planning.pipeline import with_sampled_goals
+from cvqmpt_lab.planning.pipeline import with_drawn_goals
 from cvqmpt_lab.planning.planners import planner_named, require_fit
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import panda
@@ -89,7 +89,7 @@ def warm_up(
         method = planner_named("birrt")
     if announce is not None and not compiled_before():
         announce("compiling kernels, once per machine and version ...")
-    empty, _ = with_sampled_goals(replace(problem, scene=Scene("empty", ())))
+    empty = with_drawn_goals(replace(problem, scene=Scene("empty", ())))
     goals = empty.goals if len(empty.goals) else problem.start[None]
     _through_stages(empty.changed(goals=goals), method, backend)
 

@@ -227,7 +227,7 @@ class ConstrainedSpace:
 
     @classmethod
     def of(cls, world: World, backend: str = "compiled", **options: Any) -> Self:
-        """The space of a planning problem; options: step, margin and inset, see above."""
+        """The space of a planning problem; options: see above. `ends` are its start and goals."""
         return cls(
             world.robot,
             world.scene,
@@ -236,8 +236,7 @@ class ConstrainedSpace:
             clearance=world.clearance,
             backend=backend,
             checker=world.collision_checker,
-            ends=np.vstack([world.start, world.goals]),
-            **options,
+            **{"ends": np.vstack([world.start, world.goals]), **options},
         )
 
     def again(self) -> "ConstrainedSpace":

@@ -27,8 +27,9 @@ from cvqmpt_lab.base.errors import (
 from cvqmpt_lab.base.files import json_text
 from cvqmpt_lab.base.poses import Placement, Pose
 from cvqmpt_lab.certificate.motion_check import certified_motion
-from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region, why_none
+from cvqmpt_lab.constraints.goals import SAMPLE_MARGIN_M, sample_region
 from cvqmpt_lab.constraints.named import upper_axis
+from cvqmpt_lab.constraints.no_goal import why_none
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, upright
 from cvqmpt_lab.planning.margins import Margin, solve_with_margin
 from cvqmpt_lab.planning.pipeline import LOAD, Solution
@@ -226,7 +227,7 @@ class Studio:
 def _reached(problem: PlanningProblem, what: str, T: np.ndarray, near: np.ndarray) -> np.ndarray:
     """Configurations (k, n) with the hand at T (4, 4), first those near one (n,)."""
     region = TaskSpaceRegion(T, np.eye(4), np.zeros((6, 2)))
-    checker, rng = problem.collision_checker(SAMPLE_MARGIN), np.random.default_rng(0)
+    checker, rng = problem.collision_checker(SAMPLE_MARGIN_M), np.random.default_rng(0)
     some = partial(sample_region, problem.robot, region, checker, rng, within=problem.constraint)
     found = np.concatenate([some(2, 2, near=near).configurations, some(2, 12).configurations])
     if len(found) == 0:

@@ -14,10 +14,15 @@ import numpy as np
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.base.poses import pose, rotation_vectors
 from cvqmpt_lab.collision.exact import CollisionChecker
-from cvqmpt_lab.constraints.inverse_kinematics import INSIDE, SAMPLE_MARGIN, sample_region
+from cvqmpt_lab.constraints.goals import (
+    MAX_GOALS,
+    REGION_INSET,
+    SAMPLE_MARGIN_M,
+    near_goals,
+    sample_region,
+)
 from cvqmpt_lab.constraints.project import PROJECTION_TOLERANCE
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
-from cvqmpt_lab.planning.pipeline import MAX_GOALS
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.mechanism import with_articulated_object
@@ -65,9 +70,9 @@ class World:
             case Slide():
                 T_world_hand = robot.pose(self.q)
                 Bw = np.zeros((6, 2))
-                # samples end INSIDE bounds, and so must start and goal
+                # samples end REGION_INSET inside of bounds, and so must start and goal
                 Bw[:3] = np.sort([(0.0, along) for along in phase.translation])
-                Bw[:3][phase.translation != 0.0] += (-INSIDE, INSIDE)
+                Bw[:3][phase.translation != 0.0] += (-REGION_INSET, REGION_INSET)
                 constraint = (TaskSpaceRegion(T_world_hand, np.eye(4), Bw),)
                 there = T_world_hand @ pose(phase.translation)
                 goal = TaskSpaceRegion(there, np.eye(4), np.zeros((6, 2)))
@@ -283,6 +288,8 @@ def _sampled(
     within = problem.constraint if isinstance(phase, Turn) else ()
     found = drawn(rng=problem.random_stream(), within=within)
     goals = found.configurations
+    if isinstance(phase, Move):
+        goals = np.concatenate([near_goals(problem), goals])[:count]
     if isinstance(phase, Move) and len(goals):
         off = np.linalg.norm(problem.manifold.residual(goals), axis=1)
         goals = goals[off <= PROJECTION_TOLERANCE]
@@ -295,4 +302,4 @@ def _sampled(
 def _checker(problem: PlanningProblem, door_margin: float = 5e-4) -> CollisionChecker:
     """Collision checker for starts and goals; with a door in hand its margin is door_margin [m]."""
     held = "articulated" in problem.robot.source
-    return problem.collision_checker(door_margin if held else SAMPLE_MARGIN)
+    return problem.collision_checker(door_margin if held else SAMPLE_MARGIN_M)

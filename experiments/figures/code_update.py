@@ -15,7 +15,7 @@ import numpy as np
 
 from cvqmpt_lab.base.errors import InvalidInputError, whole_number
 from cvqmpt_lab.constraints.task_space_region import RegionConstraint
-from cvqmpt_lab.planning.pipeline import with_sampled_goals
+from cvqmpt_lab.planning.pipeline import with_drawn_goals
 from cvqmpt_lab.planning.planners import planner_named
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.search.planner_interface import GaussianMixture, Observation, Query
@@ -89,7 +89,7 @@ def update_codes(
 
     InvalidInputError: there is no goal, or no code was predicted.
     """
-    problem, _ = with_sampled_goals(problem)
+    problem = with_drawn_goals(problem)
     if len(problem.goals) == 0:
         raise InvalidInputError(f"problem {problem.name}: no goal was found; choose another")
     planned, drawn = map(np.random.default_rng, np.random.SeedSequence(settings.seed).spawn(2))

@@ -26,7 +26,7 @@ from cvqmpt_lab.benchmarks.place_task import (
     place_problem,
 )
 from cvqmpt_lab.benchmarks.suite import suite_named
-from cvqmpt_lab.planning.pipeline import solve, with_sampled_goals
+from cvqmpt_lab.planning.pipeline import solve, with_drawn_goals
 from cvqmpt_lab.planning.planners import planner_named
 from cvqmpt_lab.problem import check_problem
 from cvqmpt_lab.results.row import split_problem
@@ -46,7 +46,7 @@ def yaw_about_can(T_world_hand):
 @pytest.mark.parametrize("with_can", [False, True])
 def test_problems_are_sound(with_can):
     """Start and goals: on the manifold, free with a margin, grasping the can in its place."""
-    problem = with_sampled_goals(place_problem(0, with_can))[0]
+    problem = with_drawn_goals(place_problem(0, with_can))
     check_problem(problem)
     assert len(problem.attachments) == with_can and problem.name == "0"
     assert len(problem.goals) == 20
@@ -78,7 +78,7 @@ def test_the_mirrored_kitchen_is_the_same_modules_on_the_other_side():
     shelf = mirrored.goal_region.T0_w[:3, 3]
     sides = [new[f"dagger/cell1_side_{side}"].T_world_object[1, 3] for side in ("left", "right")]
     assert min(sides) + 0.05 < shelf[1] < max(sides) - 0.05
-    check_problem(with_sampled_goals(mirrored)[0])
+    check_problem(with_drawn_goals(mirrored))
 
 
 @pytest.mark.parametrize("suite", SUITES)
@@ -124,7 +124,7 @@ def test_every_environment_is_solved(suite, part):
     environments = part(suite_named(suite).problems, 30)
     problems = [suite_named(suite).solvable(e) for e in environments]
     solutions = [solve(problem, planner, budget, seed=0, clearance=False) for problem in problems]
-    assert min(len(s.problem.goals) for s in solutions) >= 1
+    assert min(len(s.goals) for s in solutions) >= 1
     failed = {s.problem.name: (s.plan.status, s.certificate) for s in solutions if not s.solved}
     assert failed == {}
 

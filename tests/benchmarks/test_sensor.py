@@ -44,14 +44,14 @@ def test_starts_and_goals_have_room_and_cameras_stand_in_the_open(number):
 def test_a_path_is_judged_in_the_map_and_in_truth(sensed):
     """A ball in the way that no camera saw: certified in the map, not free in truth."""
     run = Experiment("sensor", (1,), ("birrt",), (0,), ENOUGH).runs[0]
-    (row,) = outcome_of(run, sensed, 0.0).rows
+    (row,) = outcome_of(run, sensed).rows
     assert row.solved and row.true_free and row.true_clearance_m > 0.0
     assert row.t_whole_s > row.t_sense_s == sensed.seconds
     path = suite_named("sensor").solvable(1)
     hand = path.robot.pose(path.goals[0])[:3, 3]
     ball = SceneObject("unseen", Sphere(0.05), pose(hand))
     truth = Scene("t", (*sensed.truth.objects, ball))
-    (row,) = outcome_of(run, replace(sensed, truth=truth), 0.0).rows
+    (row,) = outcome_of(run, replace(sensed, truth=truth)).rows
     assert row.solved and row.true_free is False and row.true_clearance_m < 0.0
 
 
@@ -59,6 +59,6 @@ def test_a_goal_that_the_map_takes_for_occupied_is_a_failure_that_says_so():
     found = [sensor_problem(7, padding) for padding in (0.04, 0.3)]
     assert isinstance(found[0], SensedProblem) and isinstance(found[1], UnsolvableProblem)
     run = Experiment("sensor", (7,), ("birrt",), (0,), ENOUGH).runs[0]
-    (row,) = outcome_of(run, found[1], 0.0).rows
+    (row,) = outcome_of(run, found[1]).rows
     assert row.fail_reason in (FailReason.INVALID_START, FailReason.INVALID_GOAL)
     assert "in the map" in row.detail

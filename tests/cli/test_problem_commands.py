@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from jsonschema import Draft202012Validator
 
-from cvqmpt_lab.planning.pipeline import with_sampled_goals
+from cvqmpt_lab.planning.pipeline import with_drawn_goals
 from cvqmpt_lab.problem import PlanningProblem, check_problem
 from cvqmpt_lab.robot.source import read_source
 from cvqmpt_lab.search.space import ConstrainedSpace, direct_motion
@@ -52,7 +52,7 @@ def test_a_new_problem_leads_round_an_obstacle_from_a_calm_start_for_any_urdf(tm
     assert list(validator.iter_errors(data)) == []
     wrong = {**data, "robot": {"urdf": "a.urdf", "end_efector": "tool0"}}
     assert list(validator.iter_errors(wrong))
-    problem = with_sampled_goals(PlanningProblem.load(path))[0]
+    problem = with_drawn_goals(PlanningProblem.load(path))
     space = ConstrainedSpace.of(problem)
     assert all(direct_motion(space, problem.start, goal) is None for goal in problem.goals[1::2])
     empty = ConstrainedSpace.of(replace(problem, scene=problem.scene.without("wall")))

@@ -24,11 +24,11 @@ from cvqmpt_lab.benchmarks.place_task import (
 )
 from cvqmpt_lab.certificate.certificate import certify
 from cvqmpt_lab.collision.exact import CollisionChecker
-from cvqmpt_lab.constraints.inverse_kinematics import sample_region
+from cvqmpt_lab.constraints.goals import sample_region
 from cvqmpt_lab.constraints.named import Region
 from cvqmpt_lab.constraints.project import PROJECTION_TOLERANCE
 from cvqmpt_lab.constraints.task_space_region import RegionConstraint
-from cvqmpt_lab.planning.pipeline import solve, with_sampled_goals
+from cvqmpt_lab.planning.pipeline import solve, with_drawn_goals
 from cvqmpt_lab.planning.planners import planner_named
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import robot_from_source
@@ -40,7 +40,7 @@ from cvqmpt_lab.search.result import Budget, JointPath
 @pytest.fixture(scope="module")
 def door():
     """A door problem with its goals."""
-    return with_sampled_goals(door_problem(0))[0]
+    return with_drawn_goals(door_problem(0))
 
 
 @pytest.fixture(scope="module")

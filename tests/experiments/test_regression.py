@@ -22,7 +22,7 @@ from cvqmpt_lab.experiments.run import failed_rows, outcome_of, result_row
 from cvqmpt_lab.paper_tables.committed import committed_directories, differing_cells, untraceable
 from cvqmpt_lab.paper_tables.rendering import render_directory
 from cvqmpt_lab.planning import planners as table
-from cvqmpt_lab.planning.pipeline import solve, with_sampled_goals
+from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.results.row import FailReason, read_rows
 from cvqmpt_lab.results.store import RunStore, states_hash
 from cvqmpt_lab.search.birrt import BiRRT
@@ -258,7 +258,7 @@ def test_a_path_that_is_refused_keeps_its_faults_and_a_fallback_counts_as_solved
 
 
 def test_a_problem_without_a_start_and_a_task_that_failed_as_a_whole_have_all_their_rows():
-    (row,) = outcome_of(RUN, UnsolvableProblem("0", "no start grasp: =1"), 0.0).rows
+    (row,) = outcome_of(RUN, UnsolvableProblem("0", "no start grasp: =1")).rows
     assert (row.key, row.fail_reason, row.detail) == (RUN.key, "no_start", "no start grasp: =1")
     rows = failed_rows(RUN, multi_sequence_task(0), FailReason.WORKER_DIED, "it ended")
     assert [row.fail_reason for row in rows] == ["worker_died"] + ["not_reached"] * 4
@@ -277,11 +277,11 @@ def test_committed_rows_load_and_add_up(part):
 def test_every_run_is_charged_for_the_encoding_of_its_scene(monkeypatch, suite):
     grouped = Mock(side_effect=scene_predictor.compiled_groups)
     monkeypatch.setattr(scene_predictor, "compiled_groups", grouped)
-    item, found = with_sampled_goals(suite_named(suite).solvable(0))[0], []
+    item, found = suite_named(suite).solvable(0), []
     for name in ("cvq-mpt", "opt-cvq-mpt", "cvq-wide"):
         grouped.reset_mock()
         runs = Experiment(suite, (0,), (name,), (0,), Budget(iterations=1)).runs
-        (row,) = outcome_of(runs[0], item, 0.0).rows
+        (row,) = outcome_of(runs[0], item).rows
         assert row.scene_new
         found.append(grouped.call_count)
     assert found[1:] == [1, 1]

@@ -203,5 +203,5 @@ def test_paths(seed):
         return
     for path in (solution.plan.path, solution.path):
         np.testing.assert_array_equal(path.states[0], problem.start)
-        assert (path.states[-1] == solution.problem.goals).all(axis=1).any()
+        assert (path.states[-1] == solution.goals).all(axis=1).any()
     assert solution.certificate.valid, solution.certificate.reasons

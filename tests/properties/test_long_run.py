@@ -36,11 +36,11 @@ def live(plans):
     from process_memory import resident
     from properties.test_differential import tuning_problems
 
-    from cvqmpt_lab.planning.pipeline import solve, with_sampled_goals
+    from cvqmpt_lab.planning.pipeline import solve, with_drawn_goals
     from cvqmpt_lab.planning.planners import PLANNERS
     from cvqmpt_lab.search.result import Budget
 
-    problems = [with_sampled_goals(problem)[0] for problem, *_ in islice(tuning_problems(3, 1), 3)]
+    problems = [with_drawn_goals(problem) for problem, *_ in islice(tuning_problems(3, 1), 3)]
     work = [(planner, problem) for problem in problems for planner in PLANNERS]
     warm, seconds = max(int(WARM * plans), 2 * len(PLANNERS)), np.empty(plans)
     for k in range(plans):

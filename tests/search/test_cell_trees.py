@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cvqmpt_lab.benchmarks.passages import cage_problem, maze_problem, slot_problem
-from cvqmpt_lab.planning.pipeline import solve, with_sampled_goals
+from cvqmpt_lab.planning.pipeline import solve, with_drawn_goals
 from cvqmpt_lab.results.store import states_hash
 from cvqmpt_lab.robot.hulls import coal_distance
 from cvqmpt_lab.scene.coal_shapes import coal_shape, transform
@@ -18,7 +18,7 @@ MOST = Budget(iterations=30_000)
 
 @pytest.fixture(scope="module")
 def maze():
-    return with_sampled_goals(maze_problem(0.06, 3))[0]
+    return with_drawn_goals(maze_problem(0.06, 3))
 
 
 def test_a_maze_is_solved_and_repeats_bit_for_bit(maze):
@@ -91,4 +91,4 @@ def test_the_width_of_a_passage_is_the_gap():
         assert between(one.scene, *sides) == pytest.approx(width, abs=0.005)
         np.testing.assert_array_equal(one.start, again.start)
         assert not np.array_equal(one.start, other.start)
-        assert len(with_sampled_goals(one)[0].goals) > 0
+        assert len(with_drawn_goals(one).goals) > 0

@@ -9,7 +9,7 @@ from refusals import refused
 
 from cvqmpt_lab.benchmarks.place_task import place_problem
 from cvqmpt_lab.certificate.certificate import certify
-from cvqmpt_lab.planning.pipeline import solve, with_sampled_goals
+from cvqmpt_lab.planning.pipeline import solve, with_drawn_goals
 from cvqmpt_lab.planning.planners import planner_named
 from cvqmpt_lab.results.store import states_hash
 from cvqmpt_lab.search.anytime import InformedSamples, improve, informed_roadmap_path
@@ -41,7 +41,7 @@ ENOUGH = Budget(iterations=20_000)
 
 @pytest.fixture(scope="module")
 def tuning():
-    return with_sampled_goals(place_problem(1003))[0]
+    return with_drawn_goals(place_problem(1003))
 
 
 @pytest.fixture(scope="module")

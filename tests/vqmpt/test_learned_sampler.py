@@ -9,7 +9,7 @@ import torch
 
 from cvqmpt_lab.benchmarks.place_task import TUNING_ENVIRONMENTS, place_problem
 from cvqmpt_lab.certificate.certificate import certify
-from cvqmpt_lab.planning.pipeline import solve, with_sampled_goals
+from cvqmpt_lab.planning.pipeline import solve, with_drawn_goals
 from cvqmpt_lab.planning.planners import CONTROLS, planner_named
 from cvqmpt_lab.results.store import states_hash
 from cvqmpt_lab.search.method import Method
@@ -36,7 +36,7 @@ ENOUGH = Budget(iterations=20_000)
 
 @pytest.fixture(scope="module")
 def problem():
-    return with_sampled_goals(place_problem(1003))[0]
+    return with_drawn_goals(place_problem(1003))
 
 
 @pytest.fixture
@@ -206,7 +206,7 @@ def test_a_roadmap_needs_its_own_scene():
     """With another scene's roadmap a planner needs more work, summed over a few problems."""
     ratios = []
     for environment in (1003, 1007, 1017, 1020, 1030):
-        problem = with_sampled_goals(place_problem(environment))[0]
+        problem = with_drawn_goals(place_problem(environment))
         counted = [plan(problem, f"roadmap-{name}").counters for name in ("cvq", "wrong-scene")]
         own, wrong = (counters.projections + counters.state_checks for counters in counted)
         ratios.append(np.log(wrong / own))
@@ -220,7 +220,7 @@ COPIES = 10
 
 @pytest.fixture(scope="module")
 def tuning():
-    return with_sampled_goals(place_problem(TUNING_ENVIRONMENTS[0]))[0]
+    return with_drawn_goals(place_problem(TUNING_ENVIRONMENTS[0]))
 
 
 def random_network(config=CONFIG):

@@ -1,0 +1,626 @@
+"""Goal configurations of a region of poses: inverse kinematics, and the policy of goals.
+
+Inverse kinematics is projection: a pose is a task-space region with bounds of zero, and Newton's
+method, the planners' projection (paper, Algorithm 1), works for any serial robot. Random poses are
+almost never reachable by a hand with fewer than 6 joints: configurations are then projected onto
+the region.
+
+Policy (`draw_goals`): the start itself where the region contains it; goals near the start, found by
+Newton's method from the start and from the goal before; then goals in other postures, from random
+seeds. All planners and seeds get the same goals.
+
+`sample_region` checks states by coal, `sample_goals` in compiled code.
+"""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
+from typing import Annotated, Any, NamedTuple, Protocol
+
+import numpy as np
+
+from cvqmpt_lab.base.jit import entry, kernel
+from cvqmpt_lab.base.values import frozen
+from cvqmpt_lab.collision.arrays import robot_arrays, scene_arrays
+from cvqmpt_lab.collision.carried import reach_with
+from cvqmpt_lab.collision.checker import in_contact
+from cvqmpt_lab.collision.exact import CollisionChecker
+from cvqmpt_lab.collision.geometry import RobotGeometry, SceneGeometry
+from cvqmpt_lab.constraints.project import (
+    PROJECTION_TOLERANCE,
+    ProjectionScratch,
+    newton,
+    projection_scratch,
+    reach_poses,
+)
+from cvqmpt_lab.constraints.regions import Regions
+from cvqmpt_lab.constraints.task_space_region import (
+    RegionConstraint,
+    TaskSpaceRegion,
+    TaskSpaceRegionChain,
+    stack_regions,
+)
+from cvqmpt_lab.robot.kinematics import Kinematics, link_poses
+from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.scene.scene import Attachment, Scene
+
+MAX_GOALS = 20
+POSE_TOLERANCE = 1e-6  # [m, rad] of inverse kinematics
+POSE_STEPS = 20  # Newton steps at most
+POSE_ATTEMPTS = 12  # seeds of Newton's method per pose
+SEED_STD_RAD = 0.3  # standard deviation of seeds around a given configuration
+POSES_AT_ONCE = 25
+SAMPLE_MARGIN_M = 1e-3  # kept from obstacles by sampled starts and goals
+# projected samples end this far inside of bounds [m, rad], or a tenth of the width
+REGION_INSET = 1e-3
+REACHED_POSE, UNTRIED_POSE, UNREACHABLE_POSE, COLLIDING_POSE = range(4)
+VISIT = 4  # attempts at a pose before the turn of the next one
+
+
+def one_pose(region: TaskSpaceRegion) -> TaskSpaceRegion:
+    """Return the region of a single pose of the region's end effector, at the origin.
+
+    Inverse kinematics writes the pose into its reference frame.
+    """
+    return TaskSpaceRegion(np.eye(4), np.eye(4), np.zeros((6, 2)), end_effector=region.end_effector)
+
+
+def has_fewer_than_6_dof(robot: Robot, region: TaskSpaceRegion) -> bool:
+    """Return whether fewer than 6 joints move the hand: random poses are almost never reachable."""
+    return int(robot.kinematics.moves[:, robot.hand(region.end_effector)[0]].sum()) < 6
+
+
+def solve_poses(
+    robot: Robot,
+    region: TaskSpaceRegion,
+    poses: np.ndarray,
+    guesses: np.ndarray,
+    within: Sequence[TaskSpaceRegion] = (),
+    anywhere: bool = False,
+) -> list[np.ndarray]:
+    """Solve inverse kinematics inside the joint limits by Newton's method.
+
+    Args:
+        robot: the robot.
+        region: region of the poses.
+        poses: (k, 4, 4) of the end effector in the base frame [m].
+        guesses: (k, a, n) seeds of Newton's method [rad or m]; overwritten.
+        within: regions that hold at the same time.
+        anywhere: whether to project onto the region instead of reaching the poses.
+
+    Returns:
+        k arrays (at most a, n) of configurations [rad or m].
+    """
+    # the reference frame of the first region is written for each pose
+    regions = stack_regions(robot, (one_pose(region), *within))
+    if anywhere:
+        regions = stack_regions(robot, (region, *within), REGION_INSET)
+        poses = np.broadcast_to(region.T0_w, poses.shape)
+    reached = np.empty(guesses.shape[:2], dtype=np.int64)
+    reach_poses(
+        robot.kinematics,
+        regions,
+        np.ascontiguousarray(poses[:, :3, :3]),
+        np.ascontiguousarray(poses[:, :3, 3]),
+        guesses,
+        POSE_TOLERANCE,
+        POSE_STEPS,
+        projection_scratch(robot.dof, regions),
+        reached,
+    )
+    return [rows[iterations >= 0] for rows, iterations in zip(guesses, reached, strict=True)]
+
+
+def first_guesses(
+    robot: Robot, rng: np.random.Generator, poses: int, near: np.ndarray | None = None
+) -> np.ndarray:
+    """Draw seeds (poses, POSE_ATTEMPTS, n) of Newton's method: uniform, or around `near` (n,)."""
+    shape = (poses, POSE_ATTEMPTS, robot.dof)
+    if near is None:
+        return robot.random_configurations(rng, poses * POSE_ATTEMPTS).reshape(shape)
+    return near + SEED_STD_RAD * rng.standard_normal(shape)
+
+
+class GoalProblem(Protocol):
+    """The parts of a planning problem that goals depend on, see `PlanningProblem`."""
+
+    @property
+    def robot(self) -> Robot:
+        """The robot."""
+
+    @property
+    def scene(self) -> Scene:
+        """Obstacles."""
+
+    @property
+    def attachments(self) -> tuple[Attachment, ...]:
+        """Bodies that the robot carries."""
+
+    @property
+    def clearance(self) -> float:
+        """Distance kept from obstacles [m]."""
+
+    @property
+    def start(self) -> np.ndarray:
+        """Start configuration (n,) [rad or m]."""
+
+    @property
+    def goals(self) -> np.ndarray:
+        """Given goal configurations (k, n) [rad or m]."""
+
+    @property
+    def goal_region(self) -> TaskSpaceRegion | None:
+        """Poses of the end effector that count as a goal."""
+
+    @property
+    def constraint(self) -> tuple[TaskSpaceRegion, ...]:
+        """Regions that hold on the whole path."""
+
+    @property
+    def closed_chain(self) -> tuple[TaskSpaceRegion, ...]:
+        """Regions that hold one end effector to another."""
+
+    @property
+    def manifold(self) -> RegionConstraint:
+        """The constraint F(q) = 0."""
+
+    def random_stream(self, *keys: int) -> np.random.Generator:
+        """Return a generator seeded by keys and the start."""
+
+
+@dataclass(frozen=True)
+class GoalSample:
+    """Result of sampling a goal region."""
+
+    configurations: np.ndarray  # (k, n), free of collision [rad or m]
+    poses_tried: int  # poses drawn
+    unreachable: int  # poses without an inverse-kinematics solution
+    colliding: int  # poses with solutions, none of them free of collision
+
+    def with_more(self, other: "GoalSample") -> "GoalSample":
+        """Both samples together."""
+        return GoalSample(
+            np.concatenate([self.configurations, other.configurations]),
+            self.poses_tried + other.poses_tried,
+            self.unreachable + other.unreachable,
+            self.colliding + other.colliding,
+        )
+
+    @property
+    def outcome(self) -> str:
+        """Counts of poses that gave no configuration."""
+        tried = f"of {self.poses_tried} poses, {self.unreachable} without inverse kinematics"
+        return f"{tried}, {self.colliding} in collision"
+
+
+def sample_region(
+    robot: Robot,
+    region: TaskSpaceRegion,
+    checker: CollisionChecker,
+    rng: np.random.Generator,
+    count: int,
+    max_poses: int = 100,
+    within: Sequence[TaskSpaceRegion] = (),
+    near: np.ndarray | None = None,
+    project: bool = False,
+) -> GoalSample:
+    """Draw collision-free configurations with the end effector in a region, one per pose.
+
+    Args:
+        robot: the robot.
+        region: poses of the end effector.
+        checker: of collisions.
+        rng: random numbers.
+        count: of configurations wanted.
+        max_poses: poses drawn at most.
+        within: regions that hold at the same time; that of a held handle moves its door to the
+            hand.
+        near: configuration (n,) around which seeds are drawn [rad or m]; None: uniform seeds.
+        project: whether to project onto the region instead of reaching poses drawn in it; always
+            done if the hand `has_fewer_than_6_dof`.
+    """
+    anywhere = project or has_fewer_than_6_dof(robot, region)
+    found: list[np.ndarray] = []
+    unreachable = colliding = tried = 0
+    while len(found) < count and tried < max_poses:
+        poses = region.sample_poses(rng, min(POSES_AT_ONCE, max_poses - tried))
+        guesses = first_guesses(robot, rng, len(poses), near)
+        # as many poses at once as configurations are wanted: no more than needed are solved
+        few = (slice(first, first + count) for first in range(0, len(poses), count))
+        for candidates in (
+            one
+            for part in few
+            for one in solve_poses(robot, region, poses[part], guesses[part], within, anywhere)
+        ):
+            tried += 1
+            free = next((q for q in candidates if not checker.in_collision(q)), None)
+            if free is not None:
+                found.append(free)
+            else:
+                unreachable += len(candidates) == 0
+                colliding += len(candidates) > 0
+            if len(found) == count:
+                break
+    configurations = np.array(found).reshape(-1, robot.dof)
+    return GoalSample(configurations, tried, unreachable, colliding)
+
+
+def find_in_region(*args: Any, **options: Any) -> GoalSample:
+    """Call `sample_region`, and again with projection onto the region if no pose was reached."""
+    found = sample_region(*args, **options)
+    if len(found.configurations):
+        return found
+    return sample_region(*args, **{**options, "project": True})
+
+
+class Seeds(NamedTuple):
+    """Configurations and where each puts the hand."""
+
+    configurations: Annotated[np.ndarray, "rows n"]  # [rad or m]
+    rotations: Annotated[np.ndarray, "rows 3 3"]  # of the end effector
+    translations: Annotated[np.ndarray, "rows 3"]  # of the end effector [m]
+    length: float  # [m] a hand this far off counts as one turned by a radian
+
+
+class Poses(NamedTuple):
+    """Poses for the hand, and the configurations found."""
+
+    rotations: Annotated[np.ndarray, "count 3 3"]  # of the end effector
+    translations: Annotated[np.ndarray, "count 3"]  # of the end effector [m]
+    # that reach them, where the verdict says so [rad or m]
+    configurations: Annotated[np.ndarray, "count n"]
+    # REACHED_POSE by a free configuration, UNTRIED_POSE, UNREACHABLE_POSE so far, or COLLIDING_POSE
+    # if all configurations found collide
+    verdict: Annotated[np.ndarray, "int64 count"]
+    reached: Annotated[np.ndarray, "int64 count"]  # numbers of the poses reached, in that order
+
+
+@kernel(inline="source")
+def _nearest_seed(seeds, first, look, rotation, translation):
+    """The one of `look` seeds from the first whose hand pose (R_k, t_k) is nearest to (R, t).
+
+    Minimises |t_k - t|^2 / length^2 + |R_k - R|^2 over the first two columns of R.
+    """
+    nearest, least = first, np.inf
+    for k in range(first, first + look):
+        shift = turn = 0.0
+        for i in range(3):
+            gap = seeds.translations[k, i] - translation[i]
+            shift += gap * gap
+            for j in range(2):  # the third axis follows
+                gap = seeds.rotations[k, i, j] - rotation[i, j]
+                turn += gap * gap
+        square = shift / (seeds.length * seeds.length) + turn
+        if square < least:
+            nearest, least = k, square
+    return seeds.configurations[nearest]
+
+
+@entry
+def reach_free(
+    kinematics: Kinematics,
+    regions: Regions,
+    robot: RobotGeometry,
+    scene: SceneGeometry,
+    margin: float,
+    seeds: Seeds,
+    firsts: Annotated[np.ndarray, "int64 attempts count"],
+    look: int,
+    tolerance: float,
+    max_iterations: int,
+    stop_on_stall: bool,
+    scratch: ProjectionScratch,
+    wanted: int,
+    poses: Poses,
+):
+    """Find a free configuration for each of several poses, until there are as many as wanted.
+
+    Args:
+        kinematics: of the robot.
+        regions: the first is the pose to be reached; the others hold at the same time.
+        robot: pieces of the robot.
+        scene: obstacles.
+        margin: to be kept from obstacles [m].
+        seeds: configurations that Newton's method starts from.
+        firsts: an attempt starts from the best of `look` seeds from number firsts[attempt, pose]
+            on; a multiple of VISIT attempts a pose.
+        look: see `firsts`.
+        tolerance: on the pose [m, rad].
+        max_iterations: of Newton's method.
+        stop_on_stall: attempts that stall are given up.
+        scratch: work arrays.
+        wanted: number of configurations.
+        poses: configurations and verdicts are written.
+
+    Returns:
+        Number of poses reached.
+    """
+    found = 0
+    for i in range(poses.verdict.shape[0]):
+        poses.verdict[i] = UNTRIED_POSE
+    attempts, count = firsts.shape
+    for turn in range(attempts * count):
+        i, attempt = turn // VISIT % count, turn // (VISIT * count) * VISIT + turn % VISIT
+        if found >= wanted:
+            return found
+        if poses.verdict[i] == REACHED_POSE:
+            continue
+        rotation, translation, q = (
+            poses.rotations[i],
+            poses.translations[i],
+            poses.configurations[i],
+        )
+        for row in range(3):
+            regions.reference_translation[0, row] = translation[row]
+            for column in range(3):
+                regions.reference_rotation[0, row, column] = rotation[row, column]
+        seed = _nearest_seed(seeds, firsts[attempt, i], look, rotation, translation)
+        for j in range(q.shape[0]):
+            q[j] = seed[j]
+        if newton(kinematics, regions, q, tolerance, max_iterations, stop_on_stall, scratch) < 0:
+            poses.verdict[i] = max(poses.verdict[i], UNREACHABLE_POSE)
+            continue
+        if in_contact(scratch.link_rotation, scratch.link_translation, robot, scene, margin):
+            poses.verdict[i] = COLLIDING_POSE
+            continue
+        poses.verdict[i] = REACHED_POSE
+        poses.reached[found] = i
+        found += 1
+    return found
+
+
+def sample_goals(
+    problem: GoalProblem,
+    rng: np.random.Generator,
+    count: int,
+    max_poses: int = 100,
+    within: Sequence[TaskSpaceRegion] = (),
+    near: np.ndarray | None = None,
+    project: bool = False,
+    look: int = 16,
+) -> GoalSample:
+    """Draw collision-free configurations in a problem's goal region, one per pose.
+
+    Where joints have a range of more than a full turn, every second configuration is moved by whole
+    turns towards the start: otherwise most goals of such arms are whole turns away.
+
+    Args:
+        problem: the problem; its goal region must not be None.
+        rng: random numbers.
+        count: of configurations wanted.
+        max_poses: poses drawn at most.
+        within: regions that hold at the same time; that of a held handle moves its door to the
+            hand.
+        near: configuration (n,) around which seeds are drawn [rad or m]; None: uniform seeds.
+        project: whether to project onto the region instead of reaching poses drawn in it.
+        look: seeds of Newton's method compared for an attempt.
+    """
+    robot, region = problem.robot, problem.goal_region
+    assert region is not None
+    if near is None:
+        seeds = _seeds_anywhere(robot, region.end_effector)
+    else:
+        scattered = near + SEED_STD_RAD * rng.standard_normal((512, robot.dof))
+        seeds = _seeds(robot, np.clip(scattered, robot.lower, robot.upper), region.end_effector)
+    T = region.sample_poses(rng, max_poses)
+    regions = stack_regions(robot, (one_pose(region), *within))
+    if project:
+        # no pose is the one to start near to
+        T[:], look = region.T0_w, 1
+        regions = stack_regions(robot, (region, *within), REGION_INSET)
+    poses = _no_configurations(T, robot.dof)
+    found = reach_free(
+        robot.kinematics,
+        regions,
+        robot_arrays(robot, problem.attachments),
+        scene_arrays(problem.scene, reach_with(robot, problem.attachments), problem.clearance),
+        SAMPLE_MARGIN_M,
+        seeds,
+        rng.integers(len(seeds.configurations) - look + 1, size=(POSE_ATTEMPTS, max_poses)),
+        look,
+        POSE_TOLERANCE,
+        POSE_STEPS,
+        # from a given posture, or along limits and bounds, progress may be slow
+        near is None and not project,
+        projection_scratch(robot.dof, regions),
+        count,
+        poses,
+    )
+    configurations = poses.configurations[poses.reached[:found]]
+    configurations[::2] = _turned_near(configurations[::2], problem.start, robot)
+    return GoalSample(
+        configurations,
+        poses_tried=int((poses.verdict != UNTRIED_POSE).sum()),
+        unreachable=int((poses.verdict == UNREACHABLE_POSE).sum()),
+        colliding=int((poses.verdict == COLLIDING_POSE).sum()),
+    )
+
+
+def _no_configurations(T: np.ndarray, n: int) -> Poses:
+    """Return poses T (k, 4, 4) [m] without configurations (k, n)."""
+    return Poses(
+        np.ascontiguousarray(T[:, :3, :3]),
+        np.ascontiguousarray(T[:, :3, 3]),
+        np.empty((len(T), n)),
+        np.empty(len(T), dtype=np.int64),
+        np.empty(len(T), dtype=np.int64),
+    )
+
+
+def _turned_near(configurations: np.ndarray, start: np.ndarray, robot: Robot) -> np.ndarray:
+    """Move the hinges of configurations (k, n) by whole turns, as near to start as limits allow."""
+    whole = 2.0 * np.pi * np.round((configurations - start) / (2.0 * np.pi))
+    turned = configurations - np.where(robot.kinematics.prismatic, 0.0, whole)
+    return np.where((turned >= robot.lower) & (turned <= robot.upper), turned, configurations)
+
+
+@lru_cache(maxsize=8)
+def _seeds_anywhere(robot: Robot, end_effector: str | None) -> Seeds:
+    """Uniform configurations, always the same."""
+    uniform = robot.random_configurations(np.random.default_rng(0), 8192)
+    return _seeds(robot, uniform, end_effector)
+
+
+def _seeds(robot: Robot, configurations: np.ndarray, end_effector: str | None) -> Seeds:
+    """Configurations (k, n) with the poses of an end effector."""
+    link, T = robot.hand(end_effector)
+    rotations, translations = link_poses(robot.kinematics, configurations)
+    return Seeds(
+        configurations,
+        rotations[:, link] @ T[:3, :3],
+        translations[:, link] + rotations[:, link] @ T[:3, 3],
+        0.3 * robot.reach,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Goals:
+    """The goals of a query."""
+
+    configurations: np.ndarray  # (k, n) [rad or m]
+    drawn: bool = False  # from a goal region; goals near the start come first
+    outcome: str = ""  # counts of drawn poses that gave no configuration
+    seconds: float = 0.0  # spent on drawing them [s]
+
+    def near(self, start: np.ndarray, radius: float = 1.0) -> int:
+        """Return the number of drawn goals that are near the start (n,), or 0.
+
+        A goal is near within `radius` [rad], and at most twice as far as the nearest one.
+        """
+        if not self.drawn:
+            return 0
+        distances = np.linalg.norm(self.configurations - start, axis=1)
+        return int((distances <= min(radius, 2.0 * distances.min())).sum())
+
+
+def goals_of(problem: GoalProblem) -> Goals:
+    """Return the given goals of a problem; if there are none, draw them from its goal region."""
+    if len(problem.goals) > 0 or problem.goal_region is None:
+        return Goals(problem.goals)
+    began = time.perf_counter()
+    found = draw_goals(problem)
+    configurations = on_manifold(problem, found.configurations)
+    return Goals(configurations, True, found.outcome, time.perf_counter() - began)
+
+
+def draw_goals(problem: GoalProblem) -> GoalSample:
+    """Draw goals from a problem's goal region, those near the start first.
+
+    The start itself is the only goal where the region contains it. Goals depend on the problem's
+    start, not on a seed: all planners get the same. Where the hand holds a door, goals have the
+    door where the hand takes it, and a posture like the start's: most others require letting go.
+    Configurations are projected onto region and constraint where the hand `has_fewer_than_6_dof`,
+    or where no goal at a drawn pose satisfies the constraint.
+    """
+    region = problem.goal_region
+    assert region is not None
+    off = RegionConstraint(problem.robot, (region,)).residual(problem.start)
+    if np.linalg.norm(off) <= PROJECTION_TOLERANCE:
+        return GoalSample(problem.start[None], 0, 0, 0)
+    near = near_goals(problem)
+    others = goals_in_any_posture(problem, MAX_GOALS - len(near))
+    return replace(others, configurations=np.concatenate([near, others.configurations]))
+
+
+def near_goals(problem: GoalProblem, most: int = 4) -> np.ndarray:
+    """Find goals (at most `most`, n) in postures like the start's; (0, n) if there are none.
+
+    The first is the start projected onto goal region and constraint. Others reach the drawn poses
+    that are nearest to the hand's pose at the start; Newton's method begins at the start or at the
+    goal before, whichever has the hand nearer.
+    """
+    robot, region = problem.robot, problem.goal_region
+    assert region is not None
+    regions = stack_regions(robot, (region, *problem.constraint), REGION_INSET)
+    found = _reached(problem, regions, region.T0_w[None], [problem.start])
+    if not np.ptp(region.Bw, axis=1).any():
+        return found  # a region of one pose has no other
+    regions = stack_regions(robot, (one_pose(region), *problem.constraint))
+    T = region.sample_poses(problem.random_stream(0), POSES_AT_ONCE)
+    hand = robot.pose(problem.start, region.end_effector)
+    shift = np.linalg.norm(T[:, :3, 3] - hand[:3, 3], axis=1) / (0.3 * robot.reach)
+    turn = np.linalg.norm((T - hand)[:, :3, :2], axis=(1, 2))
+    for k in np.argsort(shift**2 + turn**2, kind="stable")[: most - 1]:
+        more = _reached(problem, regions, T[k : k + 1], [problem.start, *found[-1:]])
+        found = np.concatenate([found, more])
+    return found
+
+
+def _reached(
+    problem: GoalProblem, regions: Regions, T: np.ndarray, seeds: Sequence[np.ndarray]
+) -> np.ndarray:
+    """Return free configurations (at most k, n) that Newton's method reaches from given seeds.
+
+    Args:
+        problem: robot, load and scene.
+        regions: the first one is moved to each pose.
+        T: poses (k, 4, 4) [m].
+        seeds: configurations (n,) [rad or m]; that with the hand nearest to the pose is taken.
+    """
+    robot = problem.robot
+    assert problem.goal_region is not None
+    poses = _no_configurations(T, robot.dof)
+    found = reach_free(
+        robot.kinematics,
+        regions,
+        robot_arrays(robot, problem.attachments),
+        scene_arrays(problem.scene, reach_with(robot, problem.attachments), problem.clearance),
+        SAMPLE_MARGIN_M,
+        _seeds(robot, np.array(seeds), problem.goal_region.end_effector),
+        np.zeros((VISIT, len(T)), dtype=np.int64),
+        len(seeds),
+        POSE_TOLERANCE,
+        5 * POSE_STEPS,
+        False,
+        projection_scratch(robot.dof, regions),
+        len(T),
+        poses,
+    )
+    return poses.configurations[poses.reached[:found]]
+
+
+def goals_in_any_posture(problem: GoalProblem, count: int = MAX_GOALS) -> GoalSample:
+    """Draw goals from random seeds, whatever their distance from the start, see `draw_goals`.
+
+    Suites whose problems have given goals take these.
+    """
+    rng, region = problem.random_stream(), problem.goal_region
+    assert region is not None
+    held = [part for part in problem.constraint if isinstance(part, TaskSpaceRegionChain)]
+    near = problem.start if held else None
+    sampled = partial(sample_goals, problem, rng, count, near=near)
+    drawn = None
+    if problem.closed_chain:
+        # few postures of two hands come near to that of the start
+        sampled = partial(_near_and_far, problem, rng, count)
+    if not has_fewer_than_6_dof(problem.robot, region):
+        drawn = sampled(within=held)
+        # a region of one pose has no other
+        if _on_manifold(problem, drawn.configurations).any() or not np.ptp(region.Bw, axis=1).any():
+            return drawn
+    projected = sampled(within=problem.constraint, project=True)
+    return projected if drawn is None or len(projected.configurations) else drawn
+
+
+def _near_and_far(
+    problem: GoalProblem, rng: np.random.Generator, count: int, **options: Any
+) -> GoalSample:
+    """Draw goals in postures like the start's, and others where these are few."""
+    like = sample_goals(problem, rng, count, near=problem.start, **options)
+    missing = count - len(like.configurations)
+    return like.with_more(sample_goals(problem, rng, missing, **options)) if missing else like
+
+
+def on_manifold(problem: GoalProblem, states: np.ndarray) -> np.ndarray:
+    """Return those of states (k, n) that satisfy the constraint; all, if none does.
+
+    Then the check of goals can name the violated bound.
+    """
+    kept = states[_on_manifold(problem, states)]
+    return frozen(kept if len(kept) else states)
+
+
+def _on_manifold(problem: GoalProblem, states: np.ndarray) -> np.ndarray:
+    """Return which of states (k, n) satisfy the constraint, (k,) bool."""
+    return np.linalg.norm(problem.manifold.residual(states), axis=1) <= PROJECTION_TOLERANCE
