@@ -165,7 +165,10 @@ def _solved(problem: PlanningProblem, matters: bool) -> bool:
     if not matters:
         return True
     space, last = ConstrainedSpace.of(problem), solution.path.states[-1]
-    goals = (last, *goals_in_any_posture(problem).configurations[1::2])
+    goals = problem.goals
+    if len(goals) == 0:
+        goals = goals_in_any_posture(problem).configurations
+    goals = (last, *goals[1::2])
     return all(direct_motion(space, problem.start, goal) is None for goal in goals)
 
 
