@@ -168,8 +168,8 @@ def _solved(problem: PlanningProblem, matters: bool) -> bool:
     goals = problem.goals
     if len(goals) == 0:
         goals = goals_in_any_posture(problem).configurations
-    goals = (last, *goals[1::2])
-    return all(direct_motion(space, problem.start, goal) is None for goal in goals)
+    ends = (last, *goals[1::2])
+    return all(direct_motion(space, problem.start, end) is None for end in ends)
 
 
 def _axes(robot: Robot) -> list[Axis]:
