@@ -15,6 +15,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
+from cvqmpt_lab.base.heap import drop_smallest, push
 from cvqmpt_lab.base.jit import entry, kernel
 from cvqmpt_lab.constraints.regions import residual
 from cvqmpt_lab.robot.kinematics import forward_kinematics
@@ -33,35 +34,6 @@ from cvqmpt_lab.search.motion import (
     project_state,
     state_valid,
 )
-
-
-@kernel(inline="machine")
-def push(keys, values, size, key, value):
-    """Put (key, value) into the binary heap of size entries."""
-    i = size
-    while i > 0 and keys[(i - 1) // 2] > key:
-        up = (i - 1) // 2
-        keys[i], values[i] = keys[up], values[up]
-        i = up
-    keys[i], values[i] = key, value
-
-
-@kernel(inline="machine")
-def drop_smallest(keys, values, size):
-    """Remove the smallest key from the binary heap of size entries."""
-    last = size - 1
-    key, value = keys[last], values[last]
-    i = 0
-    while 2 * i + 1 < last:
-        child = 2 * i + 1
-        if child + 1 < last and keys[child + 1] < keys[child]:
-            child += 1
-        if keys[child] >= key:
-            break
-        keys[i], values[i] = keys[child], values[child]
-        i = child
-    keys[i], values[i] = key, value
-
 
 UNKNOWN, FREE, BLOCKED = range(3)
 NO_PATH = 0  # instead of a number of states

@@ -23,8 +23,8 @@ from cvqmpt_lab.vqmpt.config import (
     SequenceConfig,
 )
 from cvqmpt_lab.vqmpt.published_network import PublishedSequenceModel
-from cvqmpt_lab.vqmpt.scene_arrays import LONGEST, Ends, group_points
 from cvqmpt_lab.vqmpt.scene_transformer import SceneTransformer
+from cvqmpt_lab.vqmpt.transformer_inputs import Ends, group_points
 
 
 class TransformerStage(SequenceStage):
@@ -40,7 +40,8 @@ class TransformerStage(SequenceStage):
         device: torch.device,
     ) -> None:
         """Prepare to train on labels of a roadmap; arguments and errors as of `SequenceStage`."""
-        super().__init__(dataset, dictionary, settings, sizes.links, LONGEST, seed, device)
+        longest = SceneTransformerConfig.max_codes
+        super().__init__(dataset, dictionary, settings, sizes.links, longest, seed, device)
         assert dataset.chain is not None and dataset.graph is not None
         graph = dataset.graph
         body = replace(
@@ -120,7 +121,9 @@ class PublishedStage(SequenceStage):
         device: torch.device,
     ) -> None:
         """Prepare to train on sequences; arguments and errors as of `SequenceStage`."""
-        longest = LONGEST if dataset.graph is not None else sizes.sequence.max_length - 1
+        longest = sizes.sequence.max_length - 1
+        if dataset.graph is not None:
+            longest = SceneTransformerConfig.max_codes
         super().__init__(dataset, dictionary, settings, LINKS_PER_END, longest, seed, device)
         self.config = replace(
             dictionary.config,

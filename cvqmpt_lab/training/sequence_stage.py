@@ -29,8 +29,7 @@ from cvqmpt_lab.training.dataset import VALIDATION_EVERY
 from cvqmpt_lab.training.sequence_dataset import SequenceDataset
 from cvqmpt_lab.training.stage import Batches, OptimizerSettings, Stage, means
 from cvqmpt_lab.vqmpt.checkpoint import Checkpoint
-from cvqmpt_lab.vqmpt.config import Size
-from cvqmpt_lab.vqmpt.scene_arrays import NOWHERE
+from cvqmpt_lab.vqmpt.config import SceneTransformerConfig, Size
 
 Cloud = Mapping[str, Tensor]
 """Clouds of s scenes in the form that a model takes; every tensor is (s, ...)."""
@@ -277,8 +276,8 @@ class SequenceStage(Stage):
         link of the roadmap leads to. The selecting ``loss`` is the latter if there is a roadmap.
         """
         batch = self.tensors(arrays)
-        nowhere = np.tile(np.array(NOWHERE, dtype=np.float32), (self.settings.cloud.points, 1))
-        empty = self.tensors(self.cloud_arrays(nowhere))
+        point = np.array(SceneTransformerConfig.empty_cloud_point, dtype=np.float32)
+        empty = self.tensors(self.cloud_arrays(np.tile(point, (self.settings.cloud.points, 1))))
         clouds: dict[str, Cloud] = {
             "": batch,
             "wrong_cloud_": {name: batch[name].roll(1, 0) for name in empty},

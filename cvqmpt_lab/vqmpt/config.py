@@ -4,7 +4,7 @@ Defaults are those of the published models. Values are checked when a configurat
 """
 
 from dataclasses import dataclass, field
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 
@@ -232,6 +232,14 @@ class SceneTransformerSizes:
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SceneTransformerConfig:
     """Sizes of a scene transformer, with the kinematics and roadmap that it is made for."""
+
+    # the same for all weights
+    position_waves: ClassVar[int] = 5  # frequencies of the encoding of a position
+    collision_cost: ClassVar[float] = 3.0  # w [rad]: a motion costs length - w log P(free)
+    unreached_cost: ClassVar[float] = 30.0  # [rad] cost to go if no path leads to the goal
+    max_advantage: ClassVar[float] = 10.0  # [rad] upper bound of the advantages A_i
+    max_codes: ClassVar[int] = 13  # codes of a sequence
+    empty_cloud_point: ClassVar = (0.0, 0.0, -0.87)  # [m] position of all points of an empty cloud
 
     lower: tuple[float, ...]  # (n,) joint limits [rad or m]
     upper: tuple[float, ...]  # (n,) joint limits [rad or m]

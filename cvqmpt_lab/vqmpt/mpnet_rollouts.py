@@ -29,7 +29,7 @@ from cvqmpt_lab.search.planner_interface import Observation, Proposal, Query
 from cvqmpt_lab.search.result import JointPath, PlanStatus, Timings
 from cvqmpt_lab.search.space import ConstrainedSpace, direct_motion
 from cvqmpt_lab.vqmpt.config import BY_ROLLOUTS, ROLLOUTS_ALONE, MPNetConfig
-from cvqmpt_lab.vqmpt.scene_arrays import Layers
+from cvqmpt_lab.vqmpt.numpy_layers import Layers
 from cvqmpt_lab.vqmpt.weights import StoredModel
 
 

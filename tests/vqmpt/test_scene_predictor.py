@@ -16,14 +16,11 @@ from cvqmpt_lab.training.sequence_stage import roadmap_successors
 from cvqmpt_lab.vqmpt.checkpoint import stored
 from cvqmpt_lab.vqmpt.codebook import dictionary_nodes
 from cvqmpt_lab.vqmpt.config import SceneTransformerConfig, SceneTransformerSizes
-from cvqmpt_lab.vqmpt.scene_arrays import LONGEST, RISK, Ends, group_points
-from cvqmpt_lab.vqmpt.scene_predictor import (
-    PublishedPredictor,
-    SceneTransformerPredictor,
-    SequenceDecoder,
-    compiled_groups,
-)
+from cvqmpt_lab.vqmpt.numpy_decoder import SequenceDecoder
+from cvqmpt_lab.vqmpt.numpy_encoder import compiled_groups
+from cvqmpt_lab.vqmpt.scene_predictor import PublishedPredictor, SceneTransformerPredictor
 from cvqmpt_lab.vqmpt.scene_transformer import SceneTransformer
+from cvqmpt_lab.vqmpt.transformer_inputs import Ends, group_points
 
 SMALL = {"width": 32, "layers": 3, "heads": 2, "groups": 24, "group_size": 8, "values": 4}
 SMALL = SceneTransformerSizes(**SMALL, edge_width=16, links=6, stride=3)
@@ -31,6 +28,7 @@ ROBOTS = {
     "panda": {"name": "panda"},
     "tiago-no-hand": {"name": "tiago-no-hand", "base": {"xyz": [0.0, 0.0, -0.6]}},
 }
+MAX_CODES = SceneTransformerConfig.max_codes
 CLOUD = np.random.default_rng(1).uniform(-0.7, 0.7, (300, 3))
 
 
@@ -104,7 +102,8 @@ def test_embeddings_and_costs_are_those_of_torch(checkpoint, predictor, by_torch
         V = network.cost_to_go(by_torch, ends)
         risk = F.softplus(-network.link_odds(by_torch, tensor(goals), ends.near))
         length = (tensor(goals)[:, :, None] - network.nodes[ends.near]).norm(dim=-1)
-    np.testing.assert_allclose(ends.cost, length + RISK * risk, atol=1e-4)
+        cost = length + network.config.collision_cost * risk
+    np.testing.assert_allclose(ends.cost, cost, atol=1e-4)
     decoder = SequenceDecoder(predictor.network, scene, start, goals)
     np.testing.assert_allclose(decoder.V, V[0], atol=1e-4)
     expected = (first.cost[0] + V[0][:, first.near[0, 0]]).min(dim=1).values
@@ -119,7 +118,7 @@ def test_ways_are_as_likely_as_by_torch(checkpoint, predictor, by_torch, queries
     decoder = SequenceDecoder(predictor.network, predictor.encode(CLOUD), start, goals)
     ways, log_p = decoder.start()
     steps, codes = [(ways, log_p)], []
-    for _ in range(LONGEST):
+    for _ in range(MAX_CODES):
         open_ways = [row[np.isfinite(p) & (row < 64)] for row, p in zip(ways, log_p, strict=True)]
         codes.append(np.array([rng.choice(row) for row in open_ways]))
         ways, log_p = decoder.advance(np.arange(len(goals)), codes[-1])
@@ -153,7 +152,7 @@ def likeliest_by_hand(decoder, beams):
     (ways,), (log_p,) = decoder.start()
     grown = [(0, (way,), p) for way, p in zip(ways.tolist(), log_p.tolist(), strict=True)]
     best = sorted(grown, key=lambda one: -one[2])[:beams]
-    for _ in range(LONGEST):
+    for _ in range(MAX_CODES):
         rows, latest = np.array([(row, codes[-1] % GOAL) for row, codes, _ in best]).T
         grown, advanced = [], decoder.advance(rows, latest)
         for row, (ways, log_p, (_, codes, score)) in enumerate(zip(*advanced, best, strict=True)):
@@ -235,7 +234,7 @@ def test_weights_that_do_not_fit_are_refused(model, robot):
 
     nodes, edges = (model.parts["transformer"][name] for name in ("nodes", "edges"))
     wider = tuple(limit + 0.1 for limit in model.config.transformer.upper)
-    nan = np.full((LONGEST + 2, 32), np.nan, dtype=np.float32)
+    nan = np.full((MAX_CODES + 2, 32), np.nan, dtype=np.float32)
     without = dataclasses.replace(model, parts={"dictionary": model.parts["dictionary"]})
     for message, bad in (
         (r"no transformer, only dictionary; train one: cvqmpt train transformer", without),
