@@ -1,15 +1,15 @@
-"""Compiled functions: numba's `njit` with our options, a cache folder, and checks of arguments.
+"""Compiled functions: numba's `njit` with fixed options, a cache on disk, checks of arguments.
 
 A `kernel` is called by other kernels only. An `entry` is a kernel that Python calls, too: its
-machine code is kept on disk, and its annotations say what each array must look like, for example
+machine code is kept on disk, and its annotations give type and shape of each array, for example
 ``Annotated[np.ndarray, "m n"]`` (float64) or ``Annotated[np.ndarray, "int64 2 capacity"]``. A named
-tuple of arrays has annotations at its own fields. A letter stands for one number throughout a call
-(n joints), a word for one among the arguments or fields of one named tuple. Numbers are annotated
-`float`, `int` or `bool`.
+tuple of arrays has annotations at its fields. A size that is a letter (n joints) is the same in the
+whole call; a size that is a word is the same in the arguments, or in one named tuple. Numbers have
+the annotations `float`, `int` or `bool`.
 
-Kernels make no arrays: numba's reference counting would cost more than the arithmetic of the hot
-path (residual and Jacobian of a region: 3.7 us with it, 0.7 us without). Division is IEEE's; a
-product and a sum may become one instruction (a quarter of forward kinematics).
+Kernels make no arrays: numba's reference counting would take longer than the arithmetic of inner
+loops (residual and Jacobian of a region: 3.7 us with it, 0.7 us without). Division by 0 gives inf
+or nan; a product and a sum may become one instruction (saves a quarter of forward kinematics).
 """
 
 import contextlib
@@ -40,30 +40,26 @@ from cvqmpt_lab.base.caches import (
 )
 from cvqmpt_lab.base.errors import InvalidInputError
 
-OPTIONS = {
-    "error_model": "numpy",
-    "fastmath": {"contract"},
-    "no_cfunc_wrapper": True,
-    "_nrt": False,
-}
-INLINE: dict[str | None, dict] = {
+# numba's options for the values of `inline`, see `kernel`
+INLINE_OPTIONS: dict[str | None, dict] = {
     None: {},
     "machine": {"forceinline": True},
     "source": {"inline": "always"},
 }
-NUMBERS = {float: types.float64, int: types.int64, bool: types.boolean}
-PACKAGE = Path(__file__).parents[1]
-FILES = [
-    file for file in sorted(PACKAGE.rglob("*.py")) if b"cvqmpt_lab.base.jit" in file.read_bytes()
+SCALAR_TYPES = {float: types.float64, int: types.int64, bool: types.boolean}
+KERNEL_FILES = [
+    file
+    for file in sorted(Path(__file__).parents[1].rglob("*.py"))
+    if b"cvqmpt_lab.base.jit" in file.read_bytes()
 ]
-# digest of all files with kernels: numba does not notice when a function that another calls is new
-SOURCES = sources_digest(*FILES)
+# digest of all files with kernels: numba does not notice a change of a function that is called
+KERNELS_DIGEST = sources_digest(*KERNEL_FILES)
 
 
 @functools.cache
 def folder() -> Path | None:
-    """The folder for machine code of these sources, or None."""
-    place = trusted_cache(named_folder("NUMBA_CACHE_DIR", cache_folder()) / SOURCES)
+    """Return the folder for machine code of the present sources, or None."""
+    place = trusted_cache(named_folder("NUMBA_CACHE_DIR", cache_folder()) / KERNELS_DIGEST)
     if place is not None:
         with contextlib.suppress(OSError):
             place.touch()
@@ -72,13 +68,13 @@ def folder() -> Path | None:
 
 
 def forget_unused(place: Path, kept: int = 8) -> None:
-    """Remove machine code of all but the `kept` versions of the sources that were used last."""
+    """Remove the machine code of old sources; the `kept` versions that were used last stay."""
     with contextlib.suppress(OSError):  # another process removes it, too
         ours = [
             one
             for one in place.iterdir()
             if re.fullmatch("[0-9a-f]{16}", one.name)
-            # a folder that holds anything else is not ours
+            # a folder with other files is not removed
             and all(file.suffix in (".nbi", ".nbc", "") for file in one.iterdir())
         ]
         for old in sorted(ours, key=lambda one: one.stat().st_mtime_ns)[:-kept]:
@@ -86,43 +82,44 @@ def forget_unused(place: Path, kept: int = 8) -> None:
 
 
 def compiled_before(everything: bool = False) -> bool:
-    """Whether machine code is on disk: some of it, or of every entry."""
-    return (place := folder()) is not None and any(
-        place.glob("complete" if everything else "*.nbc")
-    )
+    """Return whether machine code is on disk: of any entry, or of every entry."""
+    place = folder()
+    return place is not None and any(place.glob("complete" if everything else "*.nbc"))
 
 
 def compile_all(first: int = 0, stride: int = 1) -> None:
-    """Compile every entry, or every stride-th one."""
-    for file in FILES:
-        import_module(".".join((PACKAGE.name, *file.relative_to(PACKAGE).with_suffix("").parts)))
+    """Compile every entry, or entries first, first + stride, ..."""
+    package = Path(__file__).parents[1]
+    for file in KERNEL_FILES:
+        import_module(".".join(file.relative_to(package.parent).with_suffix("").parts))
     for compiled in Entry.all[first::stride]:
         _ = compiled.unchecked
-    if (place := folder()) is not None and stride == 1:
+    place = folder()
+    if place is not None and stride == 1:
         with contextlib.suppress(OSError), written_by_owner_only():
             (place / "complete").touch()
 
 
 class Locator(UserProvidedCacheLocator):
-    """Where numba keeps machine code: files lie in our folder itself, wherever the sources are."""
+    """Place of numba's files: directly in the cache folder, for sources in any folder."""
 
     @classmethod
     def get_suitable_cache_subpath(cls, py_file: str) -> str:
-        """No folder of its own for each folder of sources."""
+        """Return "": all folders of sources share one cache folder."""
         return ""
 
     def ensure_cache_path(self) -> None:
-        """Nothing: numba would not read a folder that it cannot write."""
+        """Do nothing: numba's check would refuse a folder that can be read but not written."""
 
 
 class _Cache(FunctionCache):
-    """Machine code of an entry on disk; unreadable: compiled again, unwritable: not kept."""
+    """Machine code of an entry on disk; it is compiled again if the file cannot be read."""
 
     def function(self, sig: tuple[types.Type, ...]) -> Callable | None:
-        """The function for a signature, from machine code alone, or None where it is not on disk.
+        """Return the function for a signature from its machine code on disk; None: not on disk.
 
-        Numba's own way reads, too, what compiling its callers needs: rules of types (imports of
-        0.3 s) and the intermediate code (10 ms an entry).
+        Numba's `load_overload` also reads data for compiling callers: type rules (imports of 0.3 s)
+        and the intermediate code (10 ms an entry).
         """
         context = cpu_target.target_context
         try:
@@ -132,17 +129,17 @@ class _Cache(FunctionCache):
         if kept is None:
             return None
         (name, form, (machine_code, _)), description, environment, *_ = kept
-        # numba asks the intermediate code, here of an empty function, which names are defined
+        # numba reads the names that are defined from intermediate code: here an empty function
         named = f'define void @"{description.llvm_cpython_wrapper_name}"() {{ ret void }}'
         code = (machine_code, llvm.parse_assembly(named).as_bitcode())
         library = context.codegen().unserialize_library((name, form, code))
         return context.get_executable(library, description, environment)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """The machine code for a signature, or None."""
+        """Return the machine code for a signature, or None."""
         try:
             return super().load_overload(sig, target_context)
-        # files damaged when the machine went down
+        # files can be damaged after a crash of the machine
         except (OSError, EOFError, pickle.UnpicklingError):
             with contextlib.suppress(OSError):
                 self.flush()
@@ -154,7 +151,7 @@ class _Cache(FunctionCache):
             with written_by_owner_only():
                 super().save_overload(sig, data)
         except OSError as error:
-            # shown once: Python leaves out warnings that were given at the same line
+            # shown once: Python ignores repeated warnings of the same line
             warnings.warn(
                 f"machine code cannot be kept in {folder()} ({error.strerror}): every process "
                 "compiles for up to half a minute; set NUMBA_CACHE_DIR to a writable folder",
@@ -163,47 +160,53 @@ class _Cache(FunctionCache):
 
 
 def kernel(function: Callable | None = None, *, inline: str | None = None) -> Any:
-    """A compiled function that other kernels call.
+    """Compile a function that other kernels call.
 
-    inline: "machine" merges its machine code into every caller: a named tuple of arrays is passed
-        as a hundred scalars, too slow in the hot path. "source" copies its source into its callers
-        and does not compile it alone.
+    inline: "machine" merges its machine code into every caller, because a call passes a named tuple
+        of arrays as a hundred scalars, which is too slow for inner loops. "source" copies its
+        source into every caller and does not compile it alone.
     """
-    # numba copies the source of its own functions alone
+    # numba copies the source of its own functions only
     made = Kernel if inline != "source" else _numba_function
-    compiled = functools.partial(made, options=INLINE[inline] | {"no_cpython_wrapper": True})
+    compiled = functools.partial(
+        made, options=INLINE_OPTIONS[inline] | {"no_cpython_wrapper": True}
+    )
     return compiled if function is None else compiled(function)
 
 
 def entry(function: Callable | None = None, *, inline: str | None = None) -> Any:
-    """A compiled function that Python and other kernels call; inline: see `kernel`."""
-    compiled = functools.partial(Entry, options=INLINE[inline])
+    """Compile a function that Python and other kernels call; inline: see `kernel`."""
+    compiled = functools.partial(Entry, options=INLINE_OPTIONS[inline])
     return compiled if function is None else compiled(function)
 
 
 def _numba_function(function: Callable, options: dict[str, Any]) -> Any:
-    return njit(**OPTIONS, **options)(function)
+    return njit(
+        error_model="numpy", fastmath={"contract"}, no_cfunc_wrapper=True, _nrt=False, **options
+    )(function)
 
 
 class Kernel:
-    """A compiled function, made numba's own when something that calls it is compiled."""
+    """A function that numba compiles when one of its callers is compiled."""
 
     def __init__(self, function: Callable, options: dict[str, Any]) -> None:
-        self.py_func, self.name, self.options = function, function.__name__, options
+        self.py_func = function
+        self.name = function.__name__
+        self.options = options
         self.__doc__, self.__module__ = function.__doc__, function.__module__
 
     @functools.cached_property
     def dispatcher(self) -> Any:
-        """Numba's function."""
+        """Function of numba, not yet compiled."""
         return _numba_function(self.py_func, self.options)
 
     @property
     def _numba_type_(self) -> Any:
-        return self.dispatcher._numba_type_  # to compiled callers this is numba's function itself
+        return self.dispatcher._numba_type_  # compiled callers see numba's function
 
 
 class Entry(Kernel):
-    """A compiled function whose arrays are checked when Python calls it, by position."""
+    """A compiled function that checks its arrays when Python calls it (by position)."""
 
     all: ClassVar[list["Entry"]] = []
 
@@ -213,7 +216,7 @@ class Entry(Kernel):
 
     @functools.cached_property
     def cache(self) -> _Cache | None:
-        """Its machine code on disk, or None."""
+        """Cache of machine code on disk, or None."""
         if folder() is None:
             return None
         before = config.CACHE_DIR, config.CACHE_LOCATOR_CLASSES
@@ -224,7 +227,7 @@ class Entry(Kernel):
 
     @functools.cached_property
     def dispatcher(self) -> Any:
-        """Numba's function, which looks on disk before it compiles."""
+        """Function of numba that searches the disk before it compiles."""
         made = super().dispatcher
         if self.cache is not None:
             made._cache = self.cache
@@ -232,13 +235,13 @@ class Entry(Kernel):
 
     @functools.cached_property
     def unchecked(self) -> Callable:
-        """Its machine code, for callers that made the arrays: a check costs some microseconds."""
+        """Machine code without the check of arrays, which takes some microseconds."""
         signature = tuple(_numba_type(form) for form in _forms(self.py_func))
         known = self.cache and self.cache.function(signature)
         return known or self.dispatcher.compile(signature)
 
     def __call__(self, *arguments: Any) -> Any:
-        """Call the machine code, or raise InvalidInputError that names the array at fault."""
+        """Check the arrays, then call the machine code; InvalidInputError names a wrong array."""
         _check(arguments, _forms(self.py_func), {}, self.name, 1)
         return self.unchecked(*arguments)
 
@@ -256,17 +259,17 @@ def call_address(typing_context, address):
 
 
 class _Form(NamedTuple):
-    """What an argument, or a field of a named tuple, must look like."""
+    """Required type of an argument or of a field of a named tuple."""
 
     name: str
-    hint: Any  # float, int, bool, a named tuple's class, or an annotated array
+    hint: Any  # float, int, bool, class of a named tuple, or annotated array
     dtype: np.dtype | None = None  # of an array
-    shape: tuple[int | str, ...] = ()  # of an array: numbers, or names that stand for one
+    shape: tuple[int | str, ...] = ()  # of an array: numbers or names of sizes
 
 
 @functools.cache
 def _forms(annotated: Any) -> tuple[_Form, ...]:
-    """Forms of a function's arguments or of a named tuple's fields, in order."""
+    """Return the forms of a function's arguments or of a named tuple's fields, in order."""
     dtypes = ("float64", "float32", "int64", "int32", "int8", "uint8", "bool")
     found = []
     for name, hint in get_type_hints(annotated, include_extras=True).items():
@@ -281,30 +284,35 @@ def _forms(annotated: Any) -> tuple[_Form, ...]:
 
 
 def _numba_type(form: _Form) -> types.Type:
-    """Numba's type of what has a form."""
+    """Return numba's type for a form."""
     if form.dtype is not None:
         return types.Array(from_dtype(form.dtype), len(form.shape), "C")
-    if form.hint in NUMBERS:
-        return NUMBERS[form.hint]
+    if form.hint in SCALAR_TYPES:
+        return SCALAR_TYPES[form.hint]
     return types.BaseTuple.from_types(tuple(map(_numba_type, _forms(form.hint))), form.hint)
 
 
 def check_arrays(arrays: NamedTuple) -> None:
-    """InvalidInputError unless all arrays of a named tuple fit annotations and each other."""
+    """Refuse a named tuple whose arrays do not fit its annotations or each other."""
     _check(arrays, _forms(type(arrays)), {}, type(arrays).__name__, 9)
 
 
 def _check(
     values: tuple, forms: tuple[_Form, ...], letters: dict[str, int], where: str, depth: int
 ) -> None:
-    """Compare values with their forms, named tuples down to a depth.
+    """Compare values with their forms.
 
-    letters: sizes known for letters, throughout a call. Words hold among these values alone.
+    Args:
+        values: arguments of a call or fields of a named tuple.
+        forms: their forms.
+        letters: known sizes by letter in the whole call; new ones are added.
+        where: name of the function or named tuple, for errors.
+        depth: number of levels of named tuples that are checked.
     """
     words: dict[str, int] = {}
     for value, form in zip(values, forms, strict=True):
         if form.dtype is None:
-            if depth > 0 and form.hint not in NUMBERS:
+            if depth > 0 and form.hint not in SCALAR_TYPES:
                 _check(value, _forms(form.hint), letters, f"{where}.{form.name}", depth - 1)
             continue
         is_array = type(value) is np.ndarray

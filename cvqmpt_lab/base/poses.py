@@ -11,8 +11,6 @@ from cvqmpt_lab.base.codec import from_plain
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.base.values import FULL_TURN_RAD, MAX_LENGTH_M, Array, FloatArray
 
-MATRIX = Array((4, 4), "numbers, or {xyz, rpy} or {xyz, quaternion}")
-
 
 def pose(xyz: Iterable[float], yaw: float = 0.0) -> FloatArray:
     """Return the (4, 4) pose at position `xyz` [m], turned by `yaw` [rad] about the vertical."""
@@ -122,11 +120,13 @@ def _not_rigid(T: FloatArray) -> str | None:
 class PoseForm:
     """Form of a pose: a matrix, or a position with angles or a quaternion."""
 
+    matrix = Array((4, 4), "numbers, or {xyz, rpy} or {xyz, quaternion}")
+
     def read(self, value: Any, where: str) -> FloatArray:
         """Return a read-only rigid pose (4, 4)."""
         if isinstance(value, Mapping):
             value = from_plain(Placement, value, where).matrix
-        T = MATRIX.read(value, where)
+        T = self.matrix.read(value, where)
         fault = _not_rigid(T)
         if fault is not None:
             raise InvalidInputError(f"{where} is not a rigid pose: its {fault}")

@@ -10,7 +10,7 @@ import numpy as np
 
 from cvqmpt_lab.base.caches import cached_arrays, sources_digest
 from cvqmpt_lab.base.errors import InvalidInputError
-from cvqmpt_lab.base.jit import SOURCES
+from cvqmpt_lab.base.jit import KERNELS_DIGEST
 from cvqmpt_lab.base.values import frozen
 from cvqmpt_lab.collision import geometry
 from cvqmpt_lab.collision.carried import carried_pairs, reach_with
@@ -56,7 +56,7 @@ def robot_arrays(robot: Robot, attachments: tuple[Attachment, ...] = ()) -> Robo
     pairs = [(i, row) for i, k in carried_pairs(robot, attachments) for row in rows[k]]
     pairs = [*robot.self_collision_pairs, *pairs]
     sources = sources_digest(Path(geometry.__file__), Path(convex.__file__))
-    made_of = [f"{SOURCES} {sources} {links} {pairs}".encode()]
+    made_of = [f"{KERNELS_DIGEST} {sources} {links} {pairs}".encode()]
     for spec in specs:
         made_of.append(f"{spec.kind} {spec.inflation} {spec.vertices.shape}".encode())
         made_of += (spec.half.tobytes(), spec.vertices.tobytes(), spec.T_owner_shape.tobytes())

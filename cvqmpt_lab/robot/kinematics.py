@@ -1,27 +1,27 @@
-"""Forward kinematics of a tree of hinges and sliders, compiled, on plain arrays.
+"""Compiled forward kinematics of a tree of hinges and sliders, on plain arrays.
 
-Joint frames are chosen so that every joint turns about, or slides along, its own z axis
-(`robot.axis_frames`). Row 0 of every pose array is the world; joint j (from 0) is row j + 1.
+Every joint turns about, or slides along, the z axis of its frame (`robot.axis_frames`). Row 0 of
+every pose array is the world; joint j (from 0) is row j + 1.
 """
 
+from math import factorial
 from typing import Annotated, NamedTuple
 
 import numpy as np
 
 from cvqmpt_lab.base.jit import entry, kernel
 
-_S = [(-1.0) ** k / float(np.prod(np.arange(1.0, 2 * k + 2))) for k in range(9)]  # 1 / (2 k + 1)!
-_C = [(-1.0) ** k / float(np.prod(np.arange(1.0, 2 * k + 1))) for k in range(9)]  # 1 / (2 k)!
-_S1, _S2, _S3, _S4, _S5, _S6, _S7 = _S[1:8]
-_C2, _C3, _C4, _C5, _C6, _C7, _C8 = _C[2:9]
+# Taylor coefficients of the sine, (-1)^k / (2 k + 1)!, and of the cosine, (-1)^k / (2 k)!
+_S1, _S2, _S3, _S4, _S5, _S6, _S7 = ((-1.0) ** k / factorial(2 * k + 1) for k in range(1, 8))
+_C2, _C3, _C4, _C5, _C6, _C7, _C8 = ((-1.0) ** k / factorial(2 * k) for k in range(2, 9))
 
 
 @kernel(inline="machine")
 def sine_and_cosine(angle):
-    """Sine and cosine of an angle [rad] below 1e5, to 1e-15; nan for angles that are not finite.
+    """Return sine and cosine of an angle [rad] below 1e5, to 1e-15; nan if it is not finite.
 
-    x = angle - k pi / 2 in [-pi / 4, pi / 4] is formed by three exact subtractions, then Taylor:
-    sin x = x - x^3 / 3! + ..., cos x = 1 - x^2 / 2! + ...
+    x = angle - k pi / 2 in [-pi / 4, pi / 4] is computed by three exact subtractions, then
+    sin x = x - x^3 / 3! + ... and cos x = 1 - x^2 / 2! + ...
     """
     k = np.floor(angle * (2.0 / np.pi) + 0.5)
     # pi / 2 as a sum of three doubles; the first two have 33 bits, so that k times them is exact
@@ -45,16 +45,16 @@ def sine_and_cosine(angle):
 class Kinematics(NamedTuple):
     """A kinematic tree of n joints."""
 
-    # Pose row of the parent frame (0 = world, j + 1 = joint j)
+    # pose row of the parent frame (0: world, j + 1: joint j)
     parent: Annotated[np.ndarray, "int64 n"]
-    # Rotation of the joint frame in its parent frame at q = 0
+    # rotation of the joint frame in its parent frame at q = 0
     rotation: Annotated[np.ndarray, "n 3 3"]
-    # Origin of the joint frame in its parent frame at q = 0 [m]
+    # origin of the joint frame in its parent frame at q = 0 [m]
     translation: Annotated[np.ndarray, "n 3"]
     prismatic: Annotated[np.ndarray, "bool n"]  # True for a slider, False for a hinge
-    lower: Annotated[np.ndarray, "n"]  # Joint limits [rad or m]
-    upper: Annotated[np.ndarray, "n"]  # Joint limits [rad or m]
-    moves: Annotated[np.ndarray, "bool n p"]  # Whether joint j moves pose row k
+    lower: Annotated[np.ndarray, "n"]  # joint limit [rad or m]
+    upper: Annotated[np.ndarray, "n"]  # joint limit [rad or m]
+    moves: Annotated[np.ndarray, "bool n p"]  # whether joint j moves pose row k
 
 
 @kernel(inline="machine")
@@ -62,7 +62,7 @@ def forward_kinematics(kinematics, q, link_rotation, link_translation):
     """Write the pose of every joint frame.
 
     T_j = T_parent(j) T_joint(j) Rot_z(q_j) for a hinge, T_parent(j) T_joint(j) Trans_z(q_j) for a
-    slider; T_joint(j) are rotation and translation of `Kinematics`.
+    slider; T_joint(j) consists of `rotation` and `translation` of `Kinematics`.
 
     Args:
         kinematics: the tree.
@@ -105,18 +105,27 @@ def write_link_poses(
     rotations: Annotated[np.ndarray, "count rows 3 3"],
     translations: Annotated[np.ndarray, "count rows 3"],
 ):
-    """Write what `link_poses` returns."""
+    """Write the poses of all joint frames at several configurations.
+
+    Args:
+        kinematics: the tree.
+        configurations: (count, n) [rad or m].
+        rotations: (count, n + 1, 3, 3), overwritten.
+        translations: (count, n + 1, 3) [m], overwritten.
+    """
     for i in range(configurations.shape[0]):
         forward_kinematics(kinematics, configurations[i], rotations[i], translations[i])
 
 
 def link_poses(kinematics: Kinematics, configurations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Poses of all joint frames at configurations (m, n) [rad or m], see `forward_kinematics`.
+    """Return the poses of all joint frames at configurations (m, n) [rad or m].
 
     Returns:
         Rotations (m, n + 1, 3, 3) and translations (m, n + 1, 3) [m].
     """
-    m, rows = len(configurations), len(kinematics.parent) + 1
-    rotations, translations = np.empty((m, rows, 3, 3)), np.empty((m, rows, 3))
+    m = len(configurations)
+    rows = len(kinematics.parent) + 1
+    rotations = np.empty((m, rows, 3, 3))
+    translations = np.empty((m, rows, 3))
     write_link_poses(kinematics, configurations, rotations, translations)
     return rotations, translations

@@ -351,7 +351,8 @@ def read_mesh(path: Path | str, scale: float = 1.0) -> tuple[FloatArray, ...]:
 
 def read_triangles(path: Path | str) -> FloatArray:
     """Return the triangles (f, 3, 3) of a file, in its unit; of a DAE file in metres."""
-    return read_by_suffix(MESH_READERS, path, "mesh")
+    readers = {f".{kind}": partial(_triangles, kind) for kind in ("stl", "obj", "dae")}
+    return read_by_suffix(readers, path, "mesh")
 
 
 def _triangles(kind: str, data: bytes) -> FloatArray:
@@ -376,7 +377,3 @@ def _triangles(kind: str, data: bytes) -> FloatArray:
     if not np.isfinite(corners).all():
         raise InvalidInputError("a corner of a triangle is not finite")
     return collada_unit(data) * corners if kind == "dae" else corners
-
-
-MESH_READERS = {f".{kind}": partial(_triangles, kind) for kind in ("stl", "obj", "dae")}
-"""Readers of meshes by the file's suffix."""

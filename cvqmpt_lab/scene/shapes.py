@@ -41,7 +41,7 @@ class MapFile(Checked):
 
 @dataclass(frozen=True, eq=False)
 class MeshFile(Checked):
-    """Stands for one or more ConvexMesh in JSON: a mesh file, see `mesh_files.MESH_READERS`."""
+    """Stands for one or more ConvexMesh in JSON: a mesh file, see `mesh_files.read_mesh`."""
 
     path: Name  # relative to the folder of the JSON file
     scale: Length = 1.0  # length of one unit of the file [m]
@@ -195,9 +195,9 @@ def require_resolution(resolution: float, finest: float = 1e-3) -> None:
 
 Measured = PointCloud | OccupancyMap  # shapes made from data of sensors
 # classes by "type" in JSON
-SHAPES = {"box": Box, "cylinder": Cylinder, "sphere": Sphere, "convex_mesh": ConvexMesh}
-SHAPES |= {"point_cloud": PointCloud, "occupancy_map": OccupancyMap}
+SHAPE_CLASSES = {"box": Box, "cylinder": Cylinder, "sphere": Sphere, "convex_mesh": ConvexMesh}
+SHAPE_CLASSES |= {"point_cloud": PointCloud, "occupancy_map": OccupancyMap}
 Shape: TypeAlias = Annotated[
     Box | Cylinder | Sphere | ConvexMesh | PointCloud | OccupancyMap,
-    Tagged("type", SHAPES, SHAPES_BY_PATH),
+    Tagged("type", SHAPE_CLASSES, SHAPES_BY_PATH),
 ]

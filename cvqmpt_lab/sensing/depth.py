@@ -15,7 +15,7 @@ import numpy as np
 from cvqmpt_lab.base.codec import from_plain, to_plain
 from cvqmpt_lab.base.errors import InvalidInputError, located, mapping
 from cvqmpt_lab.base.files import json_value, write_bytes, write_text, yaml_value
-from cvqmpt_lab.base.poses import MATRIX, Placement, Pose, ros_vector
+from cvqmpt_lab.base.poses import Placement, Pose, PoseForm, ros_vector
 from cvqmpt_lab.base.values import Array, FloatArray
 from cvqmpt_lab.scene.cloud_files import (
     Cloud,
@@ -203,7 +203,7 @@ def _rigid(data: Any) -> Any:
         turn = ros_vector(data.get("rotation"))
         named = {"xyz": ros_vector(data["translation"]), "quaternion": turn}
         return from_plain(Placement, named, "T_world_camera").matrix
-    T = np.array(MATRIX.read(data, "T_world_camera"))
+    T = np.array(PoseForm.matrix.read(data, "T_world_camera"))
     R = T[:3, :3]
     # entries that were written with three decimals
     rounded = np.abs(R).max() < 2.0 and np.abs(R @ R.T - np.eye(3)).max() <= 1e-3

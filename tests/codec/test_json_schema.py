@@ -16,7 +16,7 @@ from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, TaskSpaceR
 from cvqmpt_lab.problem import PlanningProblem, check_problem
 from cvqmpt_lab.robot.source import RobotSource
 from cvqmpt_lab.scene.scene import Articulation, Attachment, Scene, SceneObject
-from cvqmpt_lab.scene.shapes import SHAPES, SHAPES_BY_PATH
+from cvqmpt_lab.scene.shapes import SHAPE_CLASSES, SHAPES_BY_PATH
 from cvqmpt_lab.tasks.task import PHASES, Task
 
 FOLDER = Path(cvqmpt_lab.__file__).parent / "schemas"
@@ -72,7 +72,13 @@ def test_the_schemas_that_ship_have_the_fields_of_the_code(name):
     schema = json.loads((FOLDER / f"{name}.schema.json").read_text())
     Draft202012Validator.check_schema(schema)
     listed = objects_of(schema)
-    for kind in (*KINDS[name], *SHAPES.values(), *SHAPES_BY_PATH.values(), *NAMED.values(), *BOTH):
+    for kind in (
+        *KINDS[name],
+        *SHAPE_CLASSES.values(),
+        *SHAPES_BY_PATH.values(),
+        *NAMED.values(),
+        *BOTH,
+    ):
         fields = frozenset(field_kinds(kind)) - APART
         assert (fields, fields - frozenset(field_defaults(kind))) in listed, kind
     assert schema["properties"]["schema"] == {"const": KINDS[name][0].SCHEMA}
