@@ -1,1 +1,1 @@
-"""What every file uses: errors, files, values, compiled functions."""
+"""Files that all others use: errors, files, values, compiled functions."""

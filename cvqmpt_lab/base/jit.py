@@ -70,14 +70,14 @@ def folder() -> Path | None:
 def forget_unused(place: Path, kept: int = 8) -> None:
     """Remove the machine code of old sources; the `kept` versions that were used last stay."""
     with contextlib.suppress(OSError):  # another process removes it, too
-        ours = [
-            one
-            for one in place.iterdir()
-            if re.fullmatch("[0-9a-f]{16}", one.name)
+        versions = [
+            version
+            for version in place.iterdir()
+            if re.fullmatch("[0-9a-f]{16}", version.name)
             # a folder with other files is not removed
-            and all(file.suffix in (".nbi", ".nbc", "") for file in one.iterdir())
+            and all(file.suffix in (".nbi", ".nbc", "") for file in version.iterdir())
         ]
-        for old in sorted(ours, key=lambda one: one.stat().st_mtime_ns)[:-kept]:
+        for old in sorted(versions, key=lambda version: version.stat().st_mtime_ns)[:-kept]:
             shutil.rmtree(old)
 
 

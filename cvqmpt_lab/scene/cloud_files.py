@@ -124,18 +124,18 @@ def parsing(path: Path, what: str) -> Iterator[None]:
 def check_lengths(
     points: FloatArray,
     what: str,
-    room: float = 50.0,
+    usual: float = 50.0,
     farthest: float = 1000.0,
-    speck: float = 1e-3,
+    smallest: float = 1e-3,
 ) -> None:
     """Refuse points that cannot be in metres; errors name the likely unit.
 
     Args:
         points: (m, 3) [m], m >= 1.
         what: noun for the points in errors.
-        room: at least half of the points must be within this distance of the origin [m].
+        usual: at least half of the points must be within this distance of the origin [m].
         farthest: all points must be within this distance of the origin [m].
-        speck: the extent of all points along some axis must be larger [m].
+        smallest: the extent of all points along some axis must be larger [m].
     """
     distances = np.maximum.reduce([np.abs(axis) for axis in points.T])
     largest = float(distances.max())
@@ -145,13 +145,13 @@ def check_lengths(
             f"{what}: point {int(np.argmax(distances))} is {largest:.3g} m from the origin, more "
             f"than {farthest:g}; scale or remove it (millimetres: scale 0.001)"
         )
-    if median > room:
+    if median > usual:
         raise InvalidInputError(
             f"{what}: half of it is more than {median:.3g} m from the origin: not in metres? give "
             "a scale (millimetres: 0.001), or move it to the robot"
         )
     extent = max(float(np.ptp(axis)) for axis in points.T)
-    if len(points) > 1 and extent < speck:
+    if len(points) > 1 and extent < smallest:
         raise InvalidInputError(
             f"{what}: all of it is within {1e3 * extent:.3g} mm: not in metres? give a scale "
             "(kilometres: 1000)"

@@ -110,7 +110,7 @@ class FilledCells:
 
         return area
 
-    def holds(self, points: FloatArray) -> np.ndarray:
+    def contains(self, points: FloatArray) -> np.ndarray:
         """Return a mask of points (k, 3) inside a closed mesh, or well inside an open one."""
         if self._closed:
             # rays must not meet corners and edges of faces
@@ -156,7 +156,7 @@ class Piece:
     def hull(self) -> ConvexHull:
         """Hull [m] of the surface and the solid corners of the box, at least `MIN_THICKNESS_M`."""
         corners = box_corners(self.low, self.high)
-        inside = corners[self.solid.holds(corners)]
+        inside = corners[self.solid.contains(corners)]
         points = np.concatenate([self.triangles.reshape(-1, 3), inside])
         if len(points) < 4 or thickness(points) < 2.0 * MIN_THICKNESS_M:
             points = _thickened(points)
@@ -344,7 +344,7 @@ def read_mesh(path: Path | str, scale: float = 1.0) -> tuple[FloatArray, ...]:
             has no volume, or is evidently not in metres.
     """
     triangles = scale * read_triangles(path)
-    check_lengths(triangles.reshape(-1, 3), f"mesh {path}", room=20.0)
+    check_lengths(triangles.reshape(-1, 3), f"mesh {path}", usual=20.0)
     with parsing(Path(path), "mesh"):
         return convex_pieces(triangles)
 
