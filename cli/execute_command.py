@@ -1,4 +1,4 @@
-"""`cvqmpt execute`: execute a motion or task in a physics simulation, or a suite of them."""
+"""`cvqmpt execute`: execute a motion or task in a physics simulation."""
 
 import argparse
 from collections.abc import Iterable, Sequence
@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 
 from cvqmpt_lab.base.errors import InvalidInputError
-from cvqmpt_lab.base.files import make_folder
 from cvqmpt_lab.certificate.motion_check import certified_motion, dry_run
 from cvqmpt_lab.cli.options import (
     FLAG,
@@ -49,21 +48,12 @@ from cvqmpt_lab.tasks.task import Task
 from cvqmpt_lab.trajectory.timing import TimingSettings
 from cvqmpt_lab.trajectory.trajectory import Trajectory, read_motion
 
-EXECUTED = "executed"  # 50 place motions and ten tasks, two controllers, two speeds
 HOLDS = ("weld", "friction")
 
 
 def run(args: argparse.Namespace) -> int:
     """Plan unless a motion is given, execute and report; return 1 if not executed as planned."""
     mujoco_module()  # refused before anything is planned
-    if args.suite == EXECUTED or args.out is not None:
-        from cvqmpt_lab.experiments.executed import TABLE, run_executed
-
-        if args.suite != EXECUTED or args.out is None:
-            raise InvalidInputError(f"--out goes with the suite {EXECUTED!r}, which needs it")
-        run_executed(make_folder(args.out), progress=ProgressBar(EXECUTED))
-        print((args.out / TABLE).read_text(encoding="utf-8"), end="")
-        return 0
     times = CONTACT_TIMES_S if args.contact_time is None else (args.contact_time,)
     item = chosen_problem(args)
     executions = _task(args, item, times) if isinstance(item, Task) else _motion(args, item, times)
@@ -212,7 +202,6 @@ OPTIONS: Options = {
         type=partial(file_of_kind, "--film", (FILM_SUFFIX,)),
         metavar="RUN.gif",
     ),
-    "--out": option("with the suite 'executed': folder of its rows", type=Path, metavar="DIR"),
     "--json": option("print one json object instead of the report", **FLAG),
 }
 COMMANDS = {"execute": (run, OPTIONS)}

@@ -30,7 +30,7 @@ from cvqmpt_lab.base.files import (
     write_text,
 )
 from cvqmpt_lab.benchmarks.declarations import SUITES
-from cvqmpt_lab.benchmarks.item import SensedProblem, UnsolvableProblem
+from cvqmpt_lab.benchmarks.item import ExecutedProblem, SensedProblem, UnsolvableProblem
 from cvqmpt_lab.benchmarks.motion_bench import ARCHIVE, ROBOTS, fetch
 from cvqmpt_lab.benchmarks.suite import suite_named
 from cvqmpt_lab.cli.options import (
@@ -164,7 +164,9 @@ def _problems(args: argparse.Namespace) -> Iterator[tuple[int, PlanningProblem |
             unsolvable += 1
             print(f"{index}: unsolvable, {problem.reason}")
         else:
-            yield index, problem.problem if isinstance(problem, SensedProblem) else problem
+            if isinstance(problem, SensedProblem | ExecutedProblem):
+                problem = problem.problem
+            yield index, problem
         if args.action == "export":
             bar(done, len(indices))
     print(f"{len(indices) - unsolvable} problems, {unsolvable} unsolvable")

@@ -17,7 +17,12 @@ import numpy as np
 
 from cvqmpt_lab.base.caches import sources_digest
 from cvqmpt_lab.base.errors import CvqmptError, whole_number
-from cvqmpt_lab.benchmarks.item import SensedProblem, SuiteItem, UnsolvableProblem
+from cvqmpt_lab.benchmarks.item import (
+    ExecutedProblem,
+    SensedProblem,
+    SuiteItem,
+    UnsolvableProblem,
+)
 from cvqmpt_lab.benchmarks.suite import suite_named
 from cvqmpt_lab.certificate.certificate import Clearance, FaultKind, certify
 from cvqmpt_lab.constraints.goals import Goals, goals_of
@@ -52,6 +57,10 @@ def outcome_of(run: Run, item: SuiteItem, goals: Goals | None = None) -> Outcome
     setup = run.experiment
     if isinstance(item, UnsolvableProblem):
         return Outcome(failed_rows(run, item, item.kind, item.reason))
+    if isinstance(item, ExecutedProblem):
+        from cvqmpt_lab.experiments.executed import execution_rows  # other suites need no physics
+
+        return Outcome(execution_rows(run, item))
     if isinstance(item, Task):
         task = solve_task(item, run.method, setup.budget, run.seed, backend=setup.backend)
         return Outcome(
@@ -89,6 +98,8 @@ def _states(solutions: Sequence[Solution]) -> list[np.ndarray]:
 
 def failed_rows(run: Run, item: SuiteItem, reason: FailReason, detail: str) -> list[ResultRow]:
     """Rows of an item that was not solved at all; later phases of a task were not reached."""
+    if isinstance(item, ExecutedProblem):
+        return [run.row(name, reason, detail) for name in item.controllers]
     names = _phase_problems(item) if isinstance(item, Task) else [item.name]
     return [
         run.row(name, FailReason.NOT_REACHED if later else reason, detail)
@@ -313,6 +324,7 @@ def _warm_up(runs: tuple[Run, ...]) -> None:
 def _run_shortly(run: Run) -> None:
     """Plan for a few seconds at most (our planners: one iteration); discard the result."""
     item, goals = _item(run.experiment.suite, run.item)
+    item = item.problem if isinstance(item, ExecutedProblem) else item
     budget = run.experiment.budget
     if run.method.external:
         budget = replace(budget, seconds=min(WARM_UP_S, budget.seconds or WARM_UP_S))

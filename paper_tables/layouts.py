@@ -16,6 +16,8 @@ from cvqmpt_lab.paper_tables.measures import (
     SuiteRuns,
     mean_of,
     median_of,
+    most_of,
+    number_of,
     ratio_to,
     share_of,
     solved,
@@ -23,8 +25,8 @@ from cvqmpt_lab.paper_tables.measures import (
 )
 from cvqmpt_lab.paper_tables.statements import PublishedValue
 from cvqmpt_lab.paper_tables.table_engine import Column, Entry, SuiteTable
-from cvqmpt_lab.paper_tables.writers import Lines, Sections, number
-from cvqmpt_lab.results.row import ResultRow, split_problem
+from cvqmpt_lab.paper_tables.writers import Lines, Sections, number, rounded
+from cvqmpt_lab.results.row import FailReason, ResultRow, split_problem
 from cvqmpt_lab.vqmpt.config import BY_ROLLOUTS, ROLLOUTS_ALONE
 
 # ---------------------------------------------------------------- like the paper's Table I
@@ -288,6 +290,13 @@ def _footnotes(runs: SuiteRuns) -> Iterator[str]:
 
 # ---------------------------------------------------------------- by group
 
+TWO_DIGITS, THREE_DIGITS = (partial(rounded, digits=digits) for digits in (2, 3))
+
+
+def _undecided(row: ResultRow) -> bool:
+    return row.fail_reason is FailReason.UNDECIDED
+
+
 GROUP_COLUMNS: Mapping[str, Column] = {
     "solved": Column("solved [%]", "%", share_of(solved)),
     "solved_within_1_s": Column("in 1 s [%]", "%", solved_within(1.0)),
@@ -298,20 +307,32 @@ GROUP_COLUMNS: Mapping[str, Column] = {
         name: Column(f"{RATIOS[name][0]} / {REFERENCE}", "1", ratio_to(REFERENCE, RATIOS[name][1]))
         for name in ("work_ratio", "own_time_ratio", "length_ratio")
     },
+    # of executions in simulation
+    "executed": Column("executed", "1", number_of(solved), cell=THREE_DIGITS),
+    "undecided": Column("undecided", "1", number_of(_undecided), cell=THREE_DIGITS),
+    "off_path_median": Column(
+        "off path [mm]", "mm", median_of("off_path_mm", "stated"), cell=TWO_DIGITS
+    ),
+    "off_path_most": Column("most [mm]", "mm", most_of("off_path_mm"), cell=TWO_DIGITS),
+    "tilt_most": Column("tilt [rad]", "rad", most_of("tilt_rad"), cell=THREE_DIGITS),
+    "with_contacts": Column("contacts", "1", number_of(VALUES["contacts"]), cell=THREE_DIGITS),
+    "saturated_most": Column("at limits [ms]", "ms", most_of("saturated_ms"), cell=THREE_DIGITS),
+    "drift_most": Column("drift [mm]", "mm", most_of("drift_mm"), cell=TWO_DIGITS),
+    "placed": Column("placed", "1", number_of(VALUES["placed"]), cell=THREE_DIGITS),
 }
 RATIO_COLUMNS = ("solved", "work_ratio", "own_time_ratio", "length_ratio")
-
-
-RATIOS_MEASURED = (
-    "Solved: certified, Wilson interval. Ratios to uniform samples: geometric mean over problems "
-    f"that both solved, bootstrap interval; work is {WORK}, time is without "
-    "goal inverse kinematics."
-)
-MEDIANS_MEASURED = (
-    "Solved: certified, Wilson intervals. Time and work: medians with failures as infinite. Time "
-    "is by the clock, with goal inverse kinematics; a run has one thread, so that it is processor "
-    f"time with --jobs 1 on an idle machine. Work is {WORK}."
-)
+COLUMN_NOTES = {  # what is put in place of {NAME} in notes
+    "ratios": (
+        "Solved: certified, Wilson interval. Ratios to uniform samples: geometric mean over "
+        f"problems that both solved, bootstrap interval; work is {WORK}, time is without "
+        "goal inverse kinematics."
+    ),
+    "medians": (
+        "Solved: certified, Wilson intervals. Time and work: medians with failures as infinite. "
+        "Time is by the clock, with goal inverse kinematics; a run has one thread, so that it is "
+        f"processor time with --jobs 1 on an idle machine. Work is {WORK}."
+    ),
+}
 
 
 def group_table(
@@ -319,8 +340,7 @@ def group_table(
     published: Sequence[PublishedValue],
     *,
     what: str,
-    about: str,
-    notes: Sequence[str] = (),
+    notes: Sequence[str],
     columns: Sequence[str] = RATIO_COLUMNS,
     known: Mapping[str, Column] = GROUP_COLUMNS,
 ) -> SuiteTable:
@@ -330,8 +350,8 @@ def group_table(
         rows: rows of one suite; a problem's name holds its group, see `split_problem`.
         published: the paper's numbers; the paper has none of groups.
         what: a group, in the singular.
-        about: first note, on the problems.
-        notes: notes after the one that explains the columns.
+        notes: on the problems, then on the columns (in the caption, too), and others; names of
+            `COLUMN_NOTES` in braces are replaced.
         columns: names of columns; ratios are within the group.
         known: columns by name.
     """
@@ -350,13 +370,13 @@ def group_table(
     lines = table.group_lines(found, [what])
     size, suite = f"{len(ordered)} problems, {len(groups)} {what}s", runs.rows[0].suite
     together = table.counted([item for item in found if item.group == ("all",)])
-    measured = RATIOS_MEASURED if "work_ratio" in columns else MEDIANS_MEASURED
+    notes = [note.format(**COLUMN_NOTES) for note in notes]
     return SuiteTable(
         suite,
         size,
         found,
-        {f"By {what}": lines, **together, "Notes": (about, measured, *notes)},
-        table.latex_groups(f"{size}. {measured}", suite, lines),
+        {f"By {what}": lines, **together, "Notes": notes},
+        table.latex_groups(f"{size}. {notes[1]}", suite, lines),
     )
 
 

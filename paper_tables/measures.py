@@ -15,6 +15,7 @@ from typing import Literal, NamedTuple, TypeVar
 
 from cvqmpt_lab.results.row import ResultRow
 from cvqmpt_lab.results.statistics import (
+    UNDEFINED,
     Interval,
     ProblemKey,
     geometric_mean_interval,
@@ -106,6 +107,11 @@ def known_time(row: ResultRow) -> float | None:
     return None if own is None else own - (row.t_encode_s or 0.0)
 
 
+def suite_measure(name: str, row: ResultRow) -> float | None:
+    """Return a number that only one suite measures; None if the row has none."""
+    return row.measures.get(name)
+
+
 VALUES: Mapping[str, Value] = {  # of a row, by name; times in [s]
     "time": attrgetter("t_total_s"),
     "own_time": own_time,
@@ -140,6 +146,11 @@ VALUES: Mapping[str, Value] = {  # of a row, by name; times in [s]
     "raw_length": attrgetter("path_length_raw_rad"),
     "true_clearance": attrgetter("true_clearance_m"),
     "g_sampled": attrgetter("g_sampled"),
+    # of executions in simulation
+    **{
+        name: partial(suite_measure, name)
+        for name in ("off_path_mm", "tilt_rad", "contacts", "saturated_ms", "drift_mm", "placed")
+    },
 }
 
 RATIOS: Mapping[str, tuple[str, Value]] = {  # by name: what is compared, and its value
@@ -334,6 +345,27 @@ def median_of(value: str, over: Over = "all") -> Measure:
 def mean_of(value: str, over: Over = "all") -> Measure:
     """Mean of the finite ones, with a bootstrap interval."""
     return lambda rows, runs: problem_mean(_numbers(rows, runs, value, over))
+
+
+def most_of(value: str) -> Measure:
+    """Largest value of the runs that state one; it has no interval."""
+
+    def measure(rows: Rows, runs: SuiteRuns) -> Interval:
+        stated = [x for row in rows if (x := VALUES[value](row)) is not None]
+        return Interval(max(stated), None, None, len(stated)) if stated else UNDEFINED
+
+    return measure
+
+
+def number_of(value: Value) -> Measure:
+    """Number of runs whose value is not 0, among those that state one; it has no interval."""
+
+    def measure(rows: Rows, runs: SuiteRuns) -> Interval:
+        stated = [x for row in rows if (x := value(row)) is not None]
+        counted = float(sum(x != 0 for x in stated))
+        return Interval(counted, None, None, len(stated)) if stated else UNDEFINED
+
+    return measure
 
 
 def _numbers(rows: Rows, runs: SuiteRuns, value: str, over: Over) -> list[list[float]]:

@@ -28,12 +28,11 @@ LEFT_OUT: Mapping[str, str] = {
     FailReason.NO_START: "no level hand at the start",
     FailReason.NO_GOAL: "no level hand at the goal",
 }
-ABOUT = (
+NOTES = (
     "Problems of others: MotionBenchMaker, 700 each of a Panda, a UR5 with a gripper and a Fetch, "
     "from the source archive of vamp-planner 0.6.4 (Apache-2.0), with its descriptions of the "
-    "robots. Start and goal are single configurations."
-)
-NOTES = (
+    "robots. Start and goal are single configurations.",
+    "{ratios}",
     "Left out: problems whose start or goal collides in our model, and, with a level hand, those "
     "in which no level hand was found where theirs is. `cvqmpt problems list` names them. All "
     "other numbers are of the rest.",
@@ -81,7 +80,6 @@ def motion_bench_table(
         kept or ordered,
         published,
         what="robot",
-        about=ABOUT,
         notes=NOTES,
         columns=(*RATIO_COLUMNS, "time_median", "solved_within_1_s"),
         known={**GROUP_COLUMNS, "solved_within_1_s": within},

@@ -290,14 +290,15 @@ def section_of(evidence: Evidence) -> dict[str, Any]:
 
 
 def _plots(groups: Mapping[str, Rows]) -> dict[str, dict[str, str]]:
-    """Plots of rows, by title: as svg, and what is seen in words."""
+    """Return plots of rows by title, as svg with a caption, without plots that have no values."""
     from cvqmpt_lab.paper_tables import plots
 
     length = VALUES["path_length"]
+    timed = any(row.t_total_s is not None for rows in groups.values() for row in rows)
     boxes = "A box holds the middle half of the runs, its line is the median, whiskers hold 90 %."
-    return {
+    drawn = {
         "Solved against time": {
-            "svg": plots.solved_curve(groups),
+            "svg": plots.solved_curve(groups) if timed else "",
             "words": "A line a planner; higher and further left is better.",
         },
         "Work, solved runs": {
@@ -309,10 +310,11 @@ def _plots(groups: Mapping[str, Rows]) -> dict[str, dict[str, str]]:
             "words": f"{boxes} Further left is shorter.",
         },
         "Where time goes": {
-            "svg": plots.stage_times(groups),
+            "svg": plots.stage_times(groups) if timed else "",
             "words": "A bar a planner; a colour a stage of planning.",
         },
     }
+    return {title: plot for title, plot in drawn.items() if plot["svg"]}
 
 
 def _row(row: ResultRow) -> list[object]:

@@ -119,13 +119,25 @@ def solved_curve(groups: Groups) -> str:
 
 @matplotlib.rc_context(STYLE)
 def distribution(groups: Groups, value: Value, label: str, log: bool = True) -> str:
-    """A box for each planner over its solved runs: quartiles, whiskers at 5 and 95 %."""
+    """Return a box for each planner over its solved runs: quartiles, whiskers at 5 and 95 %.
+
+    Args:
+        groups: rows by planner.
+        value: of a row.
+        label: of the axis.
+        log: whether the axis is logarithmic.
+
+    Returns:
+        The plot as svg; "" where no solved run has a value.
+    """
     known = {
         name: found
         for name, rows in groups.items()
         if (found := [float(x) for row in rows if row.solved and (x := value(row))])
     }
-    figure, axes = _axes(0.7 + LINE * max(len(known), 1))
+    if not known:
+        return ""
+    figure, axes = _axes(0.7 + LINE * len(known))
     boxes = axes.boxplot(
         list(known.values())[::-1],
         orientation="horizontal",

@@ -226,9 +226,9 @@ def group_lines(found: Sequence[Entry], head: Sequence[str], count: str = "probl
     """Groups and planners with runs as lines, all columns; head: titles of the group's cells."""
     lines = [[*head, "planner", count, *(column.label for column in found[0].columns.values())]]
     for item in found:
-        n = item.measured["solved"].n
-        if n:
-            lines.append([*item.group, item.planner, str(n), *map(item.cell, item.columns)])
+        if item.rows:
+            count_cell = str(len({row.problem for row in item.rows}))
+            lines.append([*item.group, item.planner, count_cell, *map(item.cell, item.columns)])
     return lines
 
 

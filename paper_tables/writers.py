@@ -50,6 +50,11 @@ def estimate(interval: Interval) -> str:
     return f"{number(interval.estimate)} {bounds(interval)}".strip()
 
 
+def rounded(interval: Interval, digits: int) -> str:
+    """The number alone, with some significant digits; empty where undefined."""
+    return "" if interval.estimate is None else f"{interval.estimate:.{digits}g}"
+
+
 def change(ratio: Interval) -> str:
     """A ratio as a signed change [%]."""
     changes = ratio.mapped(lambda x: 100.0 * (x - 1.0))

@@ -93,19 +93,19 @@ class Suite:
         return self.make(index)
 
     def solvable(self, index: int | str) -> "Solvable":
-        """Return problem or task `index`, that of a scanned scene in its map.
+        """Return problem or task `index`; the problem of a scanned scene is in its map.
 
         Raises:
             InvalidInputError: the index is unknown, or no problem could be made for it.
         """
-        from cvqmpt_lab.benchmarks.item import SensedProblem, UnsolvableProblem
+        from cvqmpt_lab.benchmarks.item import ExecutedProblem, SensedProblem, UnsolvableProblem
 
         item = self.item(index)
         if isinstance(item, UnsolvableProblem):
             raise InvalidInputError(
                 f"problem {index} of {self.name} has no solution: {item.reason}"
             )
-        return item.problem if isinstance(item, SensedProblem) else item
+        return item.problem if isinstance(item, SensedProblem | ExecutedProblem) else item
 
     @property
     def carried(self) -> tuple[Any, ...]:
@@ -287,9 +287,10 @@ def _scene_suites() -> list[Suite]:
             table=_table(
                 "layouts:group_table",
                 what="constraint",
-                about="No constraint was seen in training. Scenes are held out; all planners get "
-                "the same start and goals.",
                 notes=(
+                    "No constraint was seen in training. Scenes are held out; all planners get the "
+                    "same start and goals.",
+                    "{ratios}",
                     "Upright: the hand's yaw and place are free. Fixed orientation: its place. "
                     "Plane, line: its origin stays there, it turns freely. Arc: it turns with a "
                     "crank. Tray: level within 0.02 rad, with a tray. Pouring: a can in the hand "
@@ -321,11 +322,12 @@ def _scene_suites() -> list[Suite]:
             table=_table(
                 "layouts:group_table",
                 what="passage",
-                about="A Panda. Maze: a pen on a plane goes through three corridors of that width. "
-                "Cage: an upright hand goes into a cage of bars with one gap of that width. Slot: "
-                "an upright hand reaches through a slot of that width in a wall. No tuning has "
-                "seen these problems.",
                 notes=(
+                    "A Panda. Maze: a pen on a plane goes through three corridors of that width. "
+                    "Cage: an upright hand goes into a cage of bars with one gap of that width. "
+                    "Slot: an upright hand reaches through a slot of that width in a wall. No "
+                    "tuning has seen these problems.",
+                    "{medians}",
                     "Whether a problem has a solution is not known where no planner finds one.",
                 ),
                 columns=(
@@ -344,8 +346,11 @@ def _scene_suites() -> list[Suite]:
             table=_table(
                 "layouts:group_table",
                 what="arm",
-                about="Between two upright hand poses, upright all the way, in held-out scenes of "
-                "four families.",
+                notes=(
+                    "Between two upright hand poses, upright all the way, in held-out scenes of "
+                    "four families.",
+                    "{ratios}",
+                ),
             ),
         ),
         # its problems are fetched: `cvqmpt problems fetch motion-bench`
@@ -397,13 +402,47 @@ def _scene_suites() -> list[Suite]:
             table=_table(
                 "layouts:group_table",
                 what="group",
-                about="Problems 0 to 59 of the place task (kitchen), and of the seven held-out "
-                "families in turn, without their constraint. opt-cvq-mpt is left out: Algorithm 2 "
-                "has nothing to move codes to. cvq-mpt tries one goal after the other; birrt and "
-                "birrt-printed search towards all at once.",
+                notes=(
+                    "Problems 0 to 59 of the place task (kitchen), and of the seven held-out "
+                    "families in turn, without their constraint. opt-cvq-mpt is left out: "
+                    "Algorithm 2 has nothing to move codes to. cvq-mpt tries one goal after the "
+                    "other; birrt and birrt-printed search towards all at once.",
+                    "{ratios}",
+                ),
             ),
         ),
     ]
+
+
+def _executed_suite() -> Suite:
+    """Suite of executions; its extra measures are those of `cvqmpt_lab.experiments.executed`."""
+    return Suite(
+        name="executed",
+        title="Executed in simulation",
+        problems=range(120),
+        make=_problem("executed:executed_problem"),
+        planners=("birrt",),
+        table=_table(
+            "layouts:group_table",
+            what="kind",
+            notes=(
+                "50 motions of the place task with the can, and ten multi-sequence tasks. Each is "
+                "planned once for a speed, a share of the joint limits, with a margin, and "
+                "executed by the controllers computed-torque and, load unknown, "
+                "computed-torque-unknown-load.",
+                "Executed: as planned at two contact times. Undecided: the contact times disagree. "
+                "Off path: median distance of the hand from its planned path; most: the largest "
+                "one. Tilt: largest angle that has a bound. Contacts: executions in which bodies "
+                "touch, but for those at grasp and place. At limits: most time in which a motor "
+                "gives its whole effort. Drift: most motion of a task's load in the hand. Placed: "
+                "the load stands where it should. Of two contact times the worse number counts.",
+            ),
+            columns=(
+                *("executed", "undecided", "off_path_median", "off_path_most", "tilt_most"),
+                *("with_contacts", "saturated_most", "drift_most", "placed"),
+            ),
+        ),
+    )
 
 
 def _two_arm_suites() -> list[Suite]:
@@ -428,11 +467,12 @@ def _two_arm_suites() -> list[Suite]:
             table=_table(
                 "layouts:group_table",
                 what="group",
-                about="A group is a robot with two arms of 7 joints and a kind of problem. The "
-                "grasp is fixed: the second hand keeps its pose in the first one's frame, a closed "
-                "chain. What is carried leans by at most 0.1 rad, and may touch both hands and "
-                "nothing else. Starts and goals are by inverse kinematics of both hands.",
                 notes=(
+                    "A group is a robot with two arms of 7 joints and a kind of problem. The grasp "
+                    "is fixed: the second hand keeps its pose in the first one's frame, a closed "
+                    "chain. What is carried leans by at most 0.1 rad, and may touch both hands and "
+                    "nothing else. Starts and goals are by inverse kinematics of both hands.",
+                    "{ratios}",
                     "Time: total wall time, with goal inverse kinematics; median with failures as "
                     "infinite.",
                     "`roadmap` makes no roadmap of closed chains: trees and cells in turns. "
@@ -506,5 +546,6 @@ SUITES: Mapping[str, Suite] = {
         *_factorial_suites(),
         *_two_arm_suites(),
         *_task_suites(),
+        _executed_suite(),
     )
 }

@@ -1,5 +1,6 @@
 """Items of suites beside problems and tasks: unsolvable problems, problems in sensed maps."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from cvqmpt_lab.problem import PlanningProblem
@@ -32,4 +33,17 @@ class SensedProblem:
 
 
 Solvable = PlanningProblem | Task
-SuiteItem = Solvable | UnsolvableProblem | SensedProblem
+
+
+@dataclass(frozen=True)
+class ExecutedProblem:
+    """A problem or task whose motion is executed in a physics simulation."""
+
+    name: str
+    problem: Solvable
+    speed: float  # share of the joint limits that the motion uses
+    # controller by the name of its row
+    controllers: Mapping[str, str]
+
+
+SuiteItem = Solvable | UnsolvableProblem | SensedProblem | ExecutedProblem

@@ -45,7 +45,9 @@ def provenance(
     """
     commit, dirty = _git_state(Path(__file__).resolve().parents[2])
     cpus = cpu_facts(r"^model name\s*: (.*)$")
-    packages = "coal cvqmpt-lab example-robot-data numba numpy ompl pin rerun-sdk scipy torch"
+    packages = (
+        "coal cvqmpt-lab example-robot-data mujoco numba numpy ompl pin rerun-sdk scipy torch"
+    )
     threads = [f"{name}_NUM_THREADS" for name in ("MKL", "NUMBA", "OMP", "OPENBLAS")]
     return {
         "date_utc": datetime.now(UTC).isoformat(timespec="seconds"),

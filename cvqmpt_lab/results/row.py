@@ -8,11 +8,11 @@ import csv
 import io
 import re
 import typing
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, fields
 from enum import StrEnum
 from functools import cache
-from itertools import zip_longest
+from itertools import repeat, zip_longest
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -28,13 +28,14 @@ from cvqmpt_lab.base.values import scalar
 
 ROW_SCHEMA = "2"
 RUNS_FILE = "runs.csv"
+MEASURE_PREFIX = "measure:"  # start of the names of columns of one suite alone
 
 # phases that the paper seems to time
 PAPER_PHASES = ("reach-handle", "reach-can", "carry")
 
 
 class FailReason(StrEnum):
-    """Reason why a run has no certified path."""
+    """Reason why a run has no certified path, or why its execution is not as planned."""
 
     TIMEOUT = "timeout"
     ITERATION_LIMIT = "iteration_limit"
@@ -56,6 +57,8 @@ class FailReason(StrEnum):
     UNCERTIFIED_NOT_PROVEN = "uncertified_not_proven"
     NOT_TIMED = "not_timed"
     NOT_REACHED = "not_reached"
+    NOT_EXECUTED = "not_executed"
+    UNDECIDED = "undecided"
     WORKER_DIED = "worker_died"
     WORKER_HUNG = "worker_hung"
     OUT_OF_MEMORY = "out_of_memory"
@@ -153,11 +156,18 @@ class ResultRow:
     # `n_newton_iterations`. None: no sample was projected.
     n_draw_projections: int | None = None
     n_draw_newton_iterations: int | None = None
+    # Numbers that only this suite measures, by name; None: undefined. Files of rows have a column
+    # ``measure:NAME`` for each, after all others.
+    measures: Mapping[str, float | None] = field(default_factory=dict, hash=False)
 
     def __post_init__(self) -> None:
         for column in _columns():
             value = column.checked(getattr(self, column.name))
             object.__setattr__(self, column.name, value)
+        checked = {
+            name: _measure_column(name).checked(value) for name, value in self.measures.items()
+        }
+        object.__setattr__(self, "measures", checked)
         self.require_consistent()
 
     def require_consistent(self) -> None:
@@ -251,10 +261,15 @@ class _Column(NamedTuple):
 @cache
 def _columns() -> tuple[_Column, ...]:
     found = []
-    for field in fields(ResultRow):
-        kind, *optional = typing.get_args(field.type) or (field.type,)
-        found.append(_Column(field.name, kind, bool(optional)))
+    for each in fields(ResultRow):
+        if each.name != "measures":
+            kind, *optional = typing.get_args(each.type) or (each.type,)
+            found.append(_Column(each.name, kind, bool(optional)))
     return tuple(found)
+
+
+def _measure_column(name: str) -> _Column:
+    return _Column(MEASURE_PREFIX + name, float, optional=True)
 
 
 ROW_COLUMNS = tuple(column.name for column in _columns())
@@ -271,11 +286,17 @@ def cell_text(text: str) -> str | None:
     return f"'{line}" if _is_formula(line) else line or None
 
 
-def csv_text(rows: Iterable[ResultRow], header: bool = True) -> str:
-    """Return rows as CSV text."""
-    cells = ([getattr(row, column) for column in ROW_COLUMNS] for row in rows)
-    lines = [[str(x).lower() if isinstance(x, bool) else x for x in row] for row in cells]
-    return csv_table([ROW_COLUMNS, *lines] if header else lines)
+def csv_text(rows: Iterable[ResultRow]) -> str:
+    """Return rows as CSV text with a header."""
+    rows = list(rows)
+    measures = dict.fromkeys(name for row in rows for name in row.measures)
+    header = [*ROW_COLUMNS, *(MEASURE_PREFIX + name for name in measures)]
+    lines = []
+    for row in rows:
+        cells = [getattr(row, column) for column in ROW_COLUMNS]
+        cells += [row.measures.get(name) for name in measures]
+        lines.append([str(x).lower() if isinstance(x, bool) else x for x in cells])
+    return csv_table([header, *lines])
 
 
 def natural_key(text: str) -> tuple[tuple[str | int, ...], str]:
@@ -291,8 +312,10 @@ def sorted_rows(rows: Iterable[ResultRow]) -> list[ResultRow]:
     return sorted(rows, key=lambda r: (r.suite, places[r.problem], r.planner, r.seed, r.backend))
 
 
-def _parse_header(path: Path, fields: list[str]) -> int:
-    """Return the number of columns that a file has."""
+def _parse_header(path: Path, fields: list[str]) -> tuple[int, list[str]]:
+    """Return the number of columns of `ROW_COLUMNS` that a file has, and its measures."""
+    measures = [name for name in fields if name.startswith(MEASURE_PREFIX)]
+    fields = fields[: len(fields) - len(measures)]
     # older files end before this column or a later one
     known = ROW_COLUMNS[: max(ROW_COLUMNS.index("t_sense_s"), len(fields))]
     for index, (found, expected) in enumerate(
@@ -304,30 +327,35 @@ def _parse_header(path: Path, fields: list[str]) -> int:
                 f"{shown(found)[1:-1]}; the file is not a table of runs of this version (schema "
                 f"{ROW_SCHEMA}), use another --out"
             )
-    return len(known)
+    return len(known), [name.removeprefix(MEASURE_PREFIX) for name in measures]
 
 
-def parse_rows(path: Path, text: str, header: bool = True) -> list[ResultRow]:
+def parse_rows(path: Path, text: str) -> list[ResultRow]:
     """Return rows of CSV text without its empty lines; errors are those of `read_rows`."""
     reader = csv.reader(io.StringIO(text, newline=""), strict=True)
     try:
-        columns = _parse_header(path, next(reader, [])) if header else len(ROW_COLUMNS)
+        count, measures = _parse_header(path, next(reader, []))
         lines = [(reader.line_num, cells) for cells in reader if cells]
     except csv.Error as error:
         raise RunStoreError(f"{path}, line {reader.line_num}: {error}") from error
+    columns = [*_columns()[:count], *map(_measure_column, measures)]
     for line, cells in lines:
-        if len(cells) != columns:
-            raise RunStoreError(f"{path}, line {line}: {len(cells)} fields, expected {columns}")
+        if len(cells) != len(columns):
+            raise RunStoreError(
+                f"{path}, line {line}: {len(cells)} fields, expected {len(columns)}"
+            )
     file = str(path)
     places = [f"{file}, line {line}" for line, _ in lines]
     by_column = zip(*(cells for _, cells in lines), strict=True)
     values = [
-        column.read_all(texts, places) for column, texts in zip(_columns(), by_column, strict=False)
+        column.read_all(texts, places) for column, texts in zip(columns, by_column, strict=False)
     ]
-    missing = [[None] * len(lines)] * (len(ROW_COLUMNS) - len(values))
+    missing = [[None] * len(lines)] * (len(ROW_COLUMNS) - count)
+    of_rows = zip(*values[:count], *missing, strict=True)
+    own_of_rows = zip(*values[count:], strict=True) if measures else repeat(())
     rows = []
-    for place, read in zip(places, zip(*values, *missing, strict=True), strict=True):
-        row = _row_of_checked(read)
+    for place, read, own in zip(places, of_rows, own_of_rows, strict=False):
+        row = _row_of_checked(read, dict(zip(measures, own, strict=True)))
         try:
             row.require_consistent()
         except InvalidInputError as error:
@@ -336,13 +364,13 @@ def parse_rows(path: Path, text: str, header: bool = True) -> list[ResultRow]:
     return rows
 
 
-def _row_of_checked(values: Sequence[Any]) -> ResultRow:
+def _row_of_checked(values: Sequence[Any], measures: Mapping[str, float | None]) -> ResultRow:
     """Return a row of values in the order of the columns that `_Column.read_all` has checked.
 
     It does not call `__post_init__`: a second check would triple the time of reading.
     """
     row = object.__new__(ResultRow)
-    vars(row).update(zip(ROW_COLUMNS, values, strict=True))
+    vars(row).update(zip(ROW_COLUMNS, values, strict=True), measures=measures)
     return row
 
 

@@ -42,10 +42,10 @@ class RunStore:
     """A directory with ``runs.csv``, ``paths.npz`` and ``provenance.json`` that grows run by run.
 
     Only one process appends (workers send it their rows). `append` writes the paths of a run to
-    ``paths.partial.npy`` and then its rows to ``runs.partial.csv``; an empty line after them marks
-    the run as complete. The end of the ``with`` block of `open` merges both into ``paths.npz`` and
-    ``runs.csv``. If the process was killed, the next `open` merges them; it drops a run whose rows
-    are incomplete.
+    ``paths.partial.npy`` and then its rows, with a header, to ``runs.partial.csv``; an empty line
+    after them marks the run as complete. The end of the ``with`` block of `open` merges both into
+    ``paths.npz`` and ``runs.csv``. If the process was killed, the next `open` merges them; it drops
+    a run whose rows are incomplete.
     """
 
     def __init__(self, directory: Path, later_session: Mapping[str, object] | None) -> None:
@@ -103,9 +103,9 @@ class RunStore:
         if merged.is_file():
             self._rows = {row.key: row for row in read_rows(merged)}
         if partial.is_file():
-            whole = read_bytes(partial).rpartition(b"\n\n")[0]
-            left = parse_rows(partial, whole.decode("utf-8", "replace"), header=False)
-            self._rows |= {row.key: row for row in left}
+            *whole, _ = read_bytes(partial).decode("utf-8", "replace").split("\n\n")
+            for run in whole:
+                self._rows |= {row.key: row for row in parse_rows(partial, run)}
         if partial.is_file() or (self.directory / PARTIAL_PATHS).is_file():
             self._merge()
 
@@ -143,7 +143,7 @@ class RunStore:
         # before writing: after an interrupt in between, `_merge` still writes these rows
         self._rows |= {row.key: row for row in rows}
         arrays = io.BytesIO()
-        text = csv_text(rows, header=False) + "\n"
+        text = csv_text(rows) + "\n"
         for states in paths:
             np.save(arrays, np.ascontiguousarray(states, dtype=np.float64), allow_pickle=False)
         if paths:

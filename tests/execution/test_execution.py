@@ -15,8 +15,12 @@ from cvqmpt_lab.execution import execute
 from cvqmpt_lab.execution.execute import Outcome, agreed, execute_motion, execute_task
 from cvqmpt_lab.execution.mjcf import ARMATURE, HAND_SITE, Physics, mjcf_of
 from cvqmpt_lab.execution.simulation import Controller
-from cvqmpt_lab.experiments.executed import FILE, read_rows, run_executed
+from cvqmpt_lab.experiments import executed
+from cvqmpt_lab.experiments.experiment import Experiment
+from cvqmpt_lab.experiments.run import executor_for, failed_rows, outcome_of, run_experiment
+from cvqmpt_lab.paper_tables.committed import RESULTS
 from cvqmpt_lab.planning.margins import Margin, solve_with_margin
+from cvqmpt_lab.results.row import RUNS_FILE, FailReason, read_rows
 from cvqmpt_lab.robot.load import robot_from_source, with_gripper
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, PointCloud
@@ -133,12 +137,32 @@ def test_an_arm_without_fingers_on_sliders_cannot_hold_by_friction(carrying):
 
 
 def test_the_suite_goes_on_where_it_stopped(tmp_path):
-    rows = run_executed(tmp_path, (("place-task-with-can", 1),))
-    assert [row.outcome for row in rows] == ["executed as planned"] * 4
-    text = (tmp_path / FILE).read_text()
-    assert read_rows(tmp_path / FILE) == rows
-    assert run_executed(tmp_path, (("place-task-with-can", 1),)) == rows
-    assert (tmp_path / FILE).read_text() == text
+    experiment = Experiment("executed", (0, 1), ("birrt",), (0,), Budget(iterations=40_000))
+    for again in (False, True):
+        before = (tmp_path / RUNS_FILE).read_bytes() if again else b""
+        with executor_for(experiment, 1) as executor:
+            rows = run_experiment(experiment, tmp_path, executor, [], lambda *_: None)
+        assert len(rows) == 4 and all(row.solved for row in rows)
+        assert {row.measures["contacts"] for row in rows} == {0.0}
+        assert not again or (tmp_path / RUNS_FILE).read_bytes() == before
+    committed = {row.problem: row for row in read_rows(RESULTS / "executed" / RUNS_FILE)}
+    assert all(row.problem in committed for row in rows)
+    assert committed[rows[0].problem].measures.keys() == rows[0].measures.keys()
+
+
+def test_what_is_not_planned_or_not_run_is_a_row_of_each_controller(monkeypatch):
+    experiment = Experiment("executed", (118,), ("birrt",), (0,), Budget(iterations=1))
+    (run,), item = experiment.runs, suite_named("executed").item(118)
+    monkeypatch.setattr(executed, "_planned", lambda run, item: "not planned: timeout")
+    rows = outcome_of(run, item, None).rows
+    lost = failed_rows(run, item, FailReason.WORKER_DIED, "it ended")
+    for found, reason in ((rows, "not_executed"), (lost, "worker_died")):
+        assert [row.problem for row in found] == [
+            "118/5-task, speed 1",
+            "118/6-task, speed 1, load unknown",
+        ]
+        assert {row.fail_reason for row in found} == {reason}
+    assert set(rows[0].measures.values()) == {None} and rows[0].detail == "not planned: timeout"
 
 
 def test_execute_reports_and_answers_json(cvqmpt, tmp_path):

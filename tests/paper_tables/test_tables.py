@@ -204,6 +204,14 @@ def test_a_report_holds_all_its_parts_needs_no_network_and_names_are_text(page):
     assert "&lt;script&gt;alert(1)&lt;/script&gt;$x$" in page
 
 
+def test_a_report_of_executions_or_of_failures_alone_leaves_plots_without_values_out(tmp_path):
+    executed = pages.report_html(pages.evidence_of(RESULTS / "executed"))
+    assert "Executed in simulation" in executed and executed.count("<svg") == 0
+    folder = a_results_folder(tmp_path, birrt=None)
+    failed = pages.report_html(pages.evidence_of(folder))
+    assert failed.count("<svg") == 2 and "Path length, solved runs" not in failed
+
+
 def test_the_command_writes_it_beside_the_rows_and_refuses_other_folders(
     cvqmpt, capsys, results, tmp_path
 ):

@@ -77,8 +77,9 @@ def test_a_store_has_rows_provenance_and_paths_equal_in_every_bit(tmp_path, stor
 def test_the_rows_of_one_run_are_kept_together_or_not_at_all(tmp_path):
     phases = [a_row(f"3/{k}-{name}") for k, name in enumerate(("reach", "carry"), 1)]
     data = killed_after(tmp_path, [phases])[PARTIAL_FILE]
-    # cut behind the first phase
-    (tmp_path / PARTIAL_FILE).write_bytes(data[: data.index(b"\n") + 1])
+    # cut behind the header and the first phase
+    header, first, _ = data.split(b"\n", 2)
+    (tmp_path / PARTIAL_FILE).write_bytes(header + b"\n" + first + b"\n")
     with opened(tmp_path) as again:
         assert again.rows() == [] and again.done() == frozenset()
         again.append(phases)
@@ -209,6 +210,23 @@ def test_files_from_before_the_last_columns_are_read(tmp_path):
     lines = path.read_text().splitlines()
     path.write_text("".join(line.rpartition(",")[0] + "\n" for line in lines))
     refused("column 31: expected path_sha256, found nothing", read_rows, path, error=RunStoreError)
+
+
+def test_measures_of_one_suite_are_columns_after_all_others_and_survive_a_killed_process(tmp_path):
+    plain = a_row("p1")
+    write_rows(tmp_path / "plain.csv", [plain])
+    assert "measure" not in (tmp_path / "plain.csv").read_text()
+    rows = [a_row("p2", measures={"drift_mm": 0.1, "contacts": 3}), a_row("p3")]
+    write_rows(tmp_path / "rows.csv", [plain, *rows])
+    header, *lines = (tmp_path / "rows.csv").read_text().splitlines()
+    assert header.endswith(",measure:drift_mm,measure:contacts") and lines[1].endswith(",0.1,3.0")
+    found = read_rows(tmp_path / "rows.csv")
+    assert found[1] == rows[0] and found[2].measures == {"drift_mm": None, "contacts": None}
+    data = killed_after(tmp_path / "killed", [[rows[0]]], [[plain]])[PARTIAL_FILE]
+    (tmp_path / "killed" / PARTIAL_FILE).write_bytes(data)
+    with opened(tmp_path / "killed") as store:
+        assert [row.measures for row in store.rows()] == [{}, rows[0].measures]
+    refused("measure:drift_mm is 'far'", a_row, error=CvqmptError, measures={"drift_mm": "far"})
 
 
 def test_bad_values_are_refused_by_name():
