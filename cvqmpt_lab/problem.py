@@ -43,8 +43,9 @@ from cvqmpt_lab.constraints.goals import SAMPLE_MARGIN_M, find_in_region
 from cvqmpt_lab.constraints.named import Region
 from cvqmpt_lab.constraints.no_goal import contradiction, why_none
 from cvqmpt_lab.constraints.project import PROJECTION_TOLERANCE
+from cvqmpt_lab.constraints.region_constraint import RegionConstraint
 from cvqmpt_lab.constraints.report import bounds_text, broken_bound, displacements
-from cvqmpt_lab.constraints.task_space_region import RegionConstraint, TaskSpaceRegionChain
+from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegionChain
 from cvqmpt_lab.robot.dynamics import Dynamics
 from cvqmpt_lab.robot.load import State, numbers_of, robot_from_source
 from cvqmpt_lab.robot.robot import Robot

@@ -13,7 +13,8 @@ from compiled_kernels import from_python
 from refusals import refused
 
 from cvqmpt_lab.base.jit import check_arrays, entry, forget_unused, kernel
-from cvqmpt_lab.constraints.task_space_region import RegionConstraint, upright
+from cvqmpt_lab.constraints.region_constraint import RegionConstraint
+from cvqmpt_lab.constraints.task_space_region import upright
 from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.search import birrt, lazy_roadmap, motion, shortcut
 from cvqmpt_lab.search.space import ConstrainedSpace
@@ -118,7 +119,8 @@ def test_machine_code_of_versions_long_unused_is_removed_and_nothing_else(tmp_pa
 
 PROJECT = """
 import numpy as np
-from cvqmpt_lab.constraints.task_space_region import RegionConstraint, upright
+from cvqmpt_lab.constraints.region_constraint import RegionConstraint
+from cvqmpt_lab.constraints.task_space_region import upright
 from cvqmpt_lab.base.jit import Entry, folder
 from cvqmpt_lab.robot.load import panda
 print(RegionConstraint(panda(), (upright(),)).residual(np.zeros((1, 7))).shape)

@@ -17,14 +17,8 @@ from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.goals import SAMPLE_MARGIN_M, goals_in_any_posture
 from cvqmpt_lab.constraints.named import upper_axis
 from cvqmpt_lab.constraints.no_goal import hand_reach
-from cvqmpt_lab.constraints.task_space_region import (
-    FREE,
-    ROWS_TEXT,
-    Axis,
-    RegionConstraint,
-    TaskSpaceRegion,
-    upright,
-)
+from cvqmpt_lab.constraints.region_constraint import RegionConstraint
+from cvqmpt_lab.constraints.task_space_region import FREE, ROWS_TEXT, Axis, TaskSpaceRegion, upright
 from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import robot_from_source

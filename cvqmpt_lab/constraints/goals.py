@@ -16,32 +16,32 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
-from typing import Annotated, Any, NamedTuple, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
-from cvqmpt_lab.base.jit import entry, kernel
 from cvqmpt_lab.base.values import frozen
 from cvqmpt_lab.collision.arrays import robot_arrays, scene_arrays
 from cvqmpt_lab.collision.carried import reach_with
-from cvqmpt_lab.collision.checker import in_contact
 from cvqmpt_lab.collision.exact import CollisionChecker
-from cvqmpt_lab.collision.geometry import RobotGeometry, SceneGeometry
 from cvqmpt_lab.constraints.project import (
     PROJECTION_TOLERANCE,
-    ProjectionScratch,
-    newton,
     projection_scratch,
     reach_poses,
 )
-from cvqmpt_lab.constraints.regions import Regions
-from cvqmpt_lab.constraints.task_space_region import (
-    RegionConstraint,
-    TaskSpaceRegion,
-    TaskSpaceRegionChain,
-    stack_regions,
+from cvqmpt_lab.constraints.reach_free import (
+    COLLIDING_POSE,
+    UNREACHABLE_POSE,
+    UNTRIED_POSE,
+    VISIT,
+    Poses,
+    Seeds,
+    reach_free,
 )
-from cvqmpt_lab.robot.kinematics import Kinematics, link_poses
+from cvqmpt_lab.constraints.region_constraint import RegionConstraint, stack_regions
+from cvqmpt_lab.constraints.regions import Regions
+from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, TaskSpaceRegionChain
+from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Attachment, Scene
 
@@ -54,8 +54,6 @@ POSES_AT_ONCE = 25
 SAMPLE_MARGIN_M = 1e-3  # kept from obstacles by sampled starts and goals
 # projected samples end this far inside of bounds [m, rad], or a tenth of the width
 REGION_INSET = 1e-3
-REACHED_POSE, UNTRIED_POSE, UNREACHABLE_POSE, COLLIDING_POSE = range(4)
-VISIT = 4  # attempts at a pose before the turn of the next one
 
 
 def one_pose(region: TaskSpaceRegion) -> TaskSpaceRegion:
@@ -252,122 +250,6 @@ def find_in_region(*args: Any, **options: Any) -> GoalSample:
     if len(found.configurations):
         return found
     return sample_region(*args, **{**options, "project": True})
-
-
-class Seeds(NamedTuple):
-    """Configurations and where each puts the hand."""
-
-    configurations: Annotated[np.ndarray, "rows n"]  # [rad or m]
-    rotations: Annotated[np.ndarray, "rows 3 3"]  # of the end effector
-    translations: Annotated[np.ndarray, "rows 3"]  # of the end effector [m]
-    length: float  # [m] a hand this far off counts as one turned by a radian
-
-
-class Poses(NamedTuple):
-    """Poses for the hand, and the configurations found."""
-
-    rotations: Annotated[np.ndarray, "count 3 3"]  # of the end effector
-    translations: Annotated[np.ndarray, "count 3"]  # of the end effector [m]
-    # that reach them, where the verdict says so [rad or m]
-    configurations: Annotated[np.ndarray, "count n"]
-    # REACHED_POSE by a free configuration, UNTRIED_POSE, UNREACHABLE_POSE so far, or COLLIDING_POSE
-    # if all configurations found collide
-    verdict: Annotated[np.ndarray, "int64 count"]
-    reached: Annotated[np.ndarray, "int64 count"]  # numbers of the poses reached, in that order
-
-
-@kernel(inline="source")
-def _nearest_seed(seeds, first, look, rotation, translation):
-    """The one of `look` seeds from the first whose hand pose (R_k, t_k) is nearest to (R, t).
-
-    Minimises |t_k - t|^2 / length^2 + |R_k - R|^2 over the first two columns of R.
-    """
-    nearest, least = first, np.inf
-    for k in range(first, first + look):
-        shift = turn = 0.0
-        for i in range(3):
-            gap = seeds.translations[k, i] - translation[i]
-            shift += gap * gap
-            for j in range(2):  # the third axis follows
-                gap = seeds.rotations[k, i, j] - rotation[i, j]
-                turn += gap * gap
-        square = shift / (seeds.length * seeds.length) + turn
-        if square < least:
-            nearest, least = k, square
-    return seeds.configurations[nearest]
-
-
-@entry
-def reach_free(
-    kinematics: Kinematics,
-    regions: Regions,
-    robot: RobotGeometry,
-    scene: SceneGeometry,
-    margin: float,
-    seeds: Seeds,
-    firsts: Annotated[np.ndarray, "int64 attempts count"],
-    look: int,
-    tolerance: float,
-    max_iterations: int,
-    stop_on_stall: bool,
-    scratch: ProjectionScratch,
-    wanted: int,
-    poses: Poses,
-):
-    """Find a free configuration for each of several poses, until there are as many as wanted.
-
-    Args:
-        kinematics: of the robot.
-        regions: the first is the pose to be reached; the others hold at the same time.
-        robot: pieces of the robot.
-        scene: obstacles.
-        margin: to be kept from obstacles [m].
-        seeds: configurations that Newton's method starts from.
-        firsts: an attempt starts from the best of `look` seeds from number firsts[attempt, pose]
-            on; a multiple of VISIT attempts a pose.
-        look: see `firsts`.
-        tolerance: on the pose [m, rad].
-        max_iterations: of Newton's method.
-        stop_on_stall: attempts that stall are given up.
-        scratch: work arrays.
-        wanted: number of configurations.
-        poses: configurations and verdicts are written.
-
-    Returns:
-        Number of poses reached.
-    """
-    found = 0
-    for i in range(poses.verdict.shape[0]):
-        poses.verdict[i] = UNTRIED_POSE
-    attempts, count = firsts.shape
-    for turn in range(attempts * count):
-        i, attempt = turn // VISIT % count, turn // (VISIT * count) * VISIT + turn % VISIT
-        if found >= wanted:
-            return found
-        if poses.verdict[i] == REACHED_POSE:
-            continue
-        rotation, translation, q = (
-            poses.rotations[i],
-            poses.translations[i],
-            poses.configurations[i],
-        )
-        for row in range(3):
-            regions.reference_translation[0, row] = translation[row]
-            for column in range(3):
-                regions.reference_rotation[0, row, column] = rotation[row, column]
-        seed = _nearest_seed(seeds, firsts[attempt, i], look, rotation, translation)
-        for j in range(q.shape[0]):
-            q[j] = seed[j]
-        if newton(kinematics, regions, q, tolerance, max_iterations, stop_on_stall, scratch) < 0:
-            poses.verdict[i] = max(poses.verdict[i], UNREACHABLE_POSE)
-            continue
-        if in_contact(scratch.link_rotation, scratch.link_translation, robot, scene, margin):
-            poses.verdict[i] = COLLIDING_POSE
-            continue
-        poses.verdict[i] = REACHED_POSE
-        poses.reached[found] = i
-        found += 1
-    return found
 
 
 def sample_goals(

@@ -15,13 +15,9 @@ from cvqmpt_lab.constraints.goals import (
     solve_poses,
 )
 from cvqmpt_lab.constraints.project import PROJECTION_STEPS, project, projection_scratch
+from cvqmpt_lab.constraints.region_constraint import RegionConstraint
 from cvqmpt_lab.constraints.report import broken_bound, displaced, displacements
-from cvqmpt_lab.constraints.task_space_region import (
-    FREE,
-    RegionConstraint,
-    TaskSpaceRegion,
-    TaskSpaceRegionChain,
-)
+from cvqmpt_lab.constraints.task_space_region import FREE, TaskSpaceRegion, TaskSpaceRegionChain
 from cvqmpt_lab.robot.robot import Robot
 
 

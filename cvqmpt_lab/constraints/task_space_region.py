@@ -13,13 +13,6 @@ from cvqmpt_lab.base.codec import Checked
 from cvqmpt_lab.base.errors import InvalidInputError, shown
 from cvqmpt_lab.base.poses import Pose, rigid, rotation_matrices, tilts
 from cvqmpt_lab.base.values import FULL_TURN_RAD, Angle, FloatArray, Name, frozen, numbers
-from cvqmpt_lab.constraints.project import (
-    PROJECTION_STEPS,
-    PROJECTION_TOLERANCE,
-    project,
-    projection_scratch,
-)
-from cvqmpt_lab.constraints.regions import Regions, batch_residual_and_jacobian
 from cvqmpt_lab.robot.robot import Robot
 
 Axis = Literal["x", "-x", "y", "-y", "z", "-z"]
@@ -275,88 +268,3 @@ def _standing(axis: Axis) -> np.ndarray:
     if axis[0] == "-":
         R = np.diag([-1.0, -1.0, 1.0]) @ R  # ... or opposite to it
     return rigid(UPRIGHT_ROTATION @ R)
-
-
-@dataclass(frozen=True, eq=False)
-class RegionConstraint:
-    """The intersection of regions of a robot's end effectors as F(q) = 0; without any m = 0."""
-
-    robot: Robot
-    members: tuple[TaskSpaceRegion, ...]
-
-    def residual(self, q: np.ndarray) -> np.ndarray:
-        """F(q), the signed distance of x outside its bounds, (m,) or (b, m) [m, rad]."""
-        return self.residual_and_jacobian(q)[0]
-
-    def residual_and_jacobian(
-        self, q: np.ndarray, full: bool = False
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """F(q) and J(q) = dF/dq.
-
-        Args:
-            q: (n,) or (b, n) [rad or m].
-            full: rows inside their bounds are dx/dq instead of zero.
-
-        Returns:
-            (m,) and (m, n), or (b, m) and (b, m, n).
-        """
-        batch = np.array(q, dtype=float, order="C", ndmin=2)
-        n, regions = self.robot.dof, self.regions
-        scratch = projection_scratch(n, regions)
-        work = scratch.link_rotation, scratch.link_translation, scratch.displacement
-        residual = np.zeros((len(batch), len(regions.axis)))
-        jacobian = np.zeros((*residual.shape, n))
-        batch_residual_and_jacobian(
-            self.robot.kinematics, regions, batch, full, *work, residual, jacobian
-        )
-        return (residual, jacobian) if np.ndim(q) == 2 else (residual[0], jacobian[0])
-
-    def project(
-        self,
-        q: np.ndarray,
-        tolerance: float = PROJECTION_TOLERANCE,
-        max_iterations: int = PROJECTION_STEPS,
-    ) -> np.ndarray | None:
-        """Move q (n,) onto the manifold by Algorithm 1, inside the limits; None on failure."""
-        q = np.array(q, dtype=float)
-        regions = self.regions
-        scratch = projection_scratch(self.robot.dof, regions)
-        iterations = project(self.robot.kinematics, regions, q, tolerance, max_iterations, scratch)
-        return q if iterations >= 0 else None
-
-    @cached_property
-    def regions(self) -> Regions:
-        """Plain arrays of all members."""
-        return frozen(stack_regions(self.robot, self.members))
-
-    def inner_regions(self, inset: float = 0.0) -> Regions:
-        """Plain arrays of all members, bounds moved inwards, see `stack_regions`."""
-        return stack_regions(self.robot, self.members, inset)
-
-
-def stack_regions(robot: Robot, members: Sequence[TaskSpaceRegion], shrink: float = 0.0) -> Regions:
-    """Plain arrays of regions.
-
-    shrink: bounds are moved inwards by this much [m, rad], at most a tenth of their width, so that
-        straight joint motions between two states at the bounds stay inside.
-    """
-    references, hands = (
-        zip(*(member.links(robot) for member in members), strict=True) if members else ((), ())
-    )
-    ends = [T @ np.linalg.inv(it.Tw_e) for it, (_, T) in zip(members, hands, strict=True)]
-    rows = [(k, row) for k, member in enumerate(members) for row in member.bounded_rows]
-    bounds = np.array([members[k].bounds[row] for k, row in rows]).reshape(-1, 2)
-    inset = np.minimum(shrink, 0.1 * (bounds[:, 1] - bounds[:, 0]))
-    k = len(members)
-    return Regions(
-        link=np.array([row for row, _ in hands], dtype=np.int64),
-        base=np.array([row for row, _ in references], dtype=np.int64),
-        end_rotation=np.array([T[:3, :3] for T in ends]).reshape(k, 3, 3),
-        end_translation=np.array([T[:3, 3] for T in ends]).reshape(k, 3),
-        reference_rotation=np.array([T[:3, :3] for _, T in references]).reshape(k, 3, 3),
-        reference_translation=np.array([T[:3, 3] for _, T in references]).reshape(k, 3),
-        region=np.array([k for k, _ in rows], dtype=np.int64),
-        axis=np.array([row for _, row in rows], dtype=np.int64),
-        lower=bounds[:, 0] + inset,
-        upper=bounds[:, 1] - inset,
-    )

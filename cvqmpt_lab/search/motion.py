@@ -60,11 +60,29 @@ class Space(NamedTuple):
     counters: Annotated[np.ndarray, "int64 8"]  # PROJECTIONS to DRAW_NEWTON_ITERATIONS
     state: Annotated[np.ndarray, "n"]  # work array
     scratch: ProjectionScratch  # work arrays of projections
+    # whether F is Python code: the callbacks project row 0 of `ends`, and judge the motion from row
+    # 0 to row 1
+    called: bool
+    project_call: int  # address
+    chord_call: int  # address
+    ends: Annotated[np.ndarray, "2 n"]
 
 
 @kernel(inline="source")
 def project_state(space, q):
     """Project q (n,) in place and count it; True on success, with link poses in the scratch."""
+    if space.called:
+        space.counters[PROJECTIONS] += 1
+        for j in range(q.shape[0]):
+            space.ends[0, j] = q[j]
+        if not call_address(space.project_call):
+            return False
+        for j in range(q.shape[0]):
+            q[j] = space.ends[0, j]
+        forward_kinematics(
+            space.kinematics, q, space.scratch.link_rotation, space.scratch.link_translation
+        )
+        return True
     iterations = project(
         space.kinematics, space.regions, q, space.tolerance, space.max_iterations, space.scratch
     )
@@ -247,6 +265,11 @@ def chord_on_manifold(space, a, b):
     is checked every KINK.
     """
     scratch = space.scratch
+    if space.called:
+        for j in range(a.shape[0]):
+            space.ends[0, j] = a[j]
+            space.ends[1, j] = b[j]
+        return call_address(space.chord_call)
     if scratch.residual.shape[0] == 0:
         return True
     k, pieces = 1, 2

@@ -10,7 +10,7 @@ from cvqmpt_lab.base.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.base.jit import check_arrays, entry
 from cvqmpt_lab.collision.arrays import robot_arrays, robot_swing, scene_arrays
 from cvqmpt_lab.collision.carried import reach_with
-from cvqmpt_lab.constraints.constraint import Constraint
+from cvqmpt_lab.constraints.constraint import Constraint, project_in_numpy
 from cvqmpt_lab.constraints.project import (
     PROJECTION_STEPS,
     PROJECTION_TOLERANCE,
@@ -64,16 +64,18 @@ def constraint_one(
     )
 
 
-def _chord(regions: Regions, inset: float, most: float = 6e-4, certified: float = 4e-4) -> float:
-    """|F| [m, rad] of tightened bounds that straight motions between two states may reach.
+CERTIFIED_CHORD = 4e-4  # |F| [m, rad] between two states, below the tolerance of the certificate
 
-    Where a bound was moved by the whole `inset`, the motion is still inside the true one at `most`.
-    A narrow one was moved less: there |F| may exceed what it was moved by `certified`, which is
-    below the tolerance of the certificate.
+
+def _chord(regions: Regions, inset: float, most: float = 6e-4) -> float:
+    """Return the |F| [m, rad] of tightened bounds that motions between two states may reach.
+
+    Where a bound was moved by the whole `inset`, a motion with |F| <= `most` is inside the true
+    one. A narrow bound was moved less: there |F| may exceed that amount by CERTIFIED_CHORD.
     """
     # a tenth of the width was taken from both sides
     taken = min(inset, float((regions.upper - regions.lower).min(initial=np.inf)) / 8.0)
-    return min(most, certified + taken)
+    return min(most, CERTIFIED_CHORD + taken)
 
 
 class StateChecker(Protocol):
@@ -142,13 +144,50 @@ class StateCheck:
         self.address: int = ctypes.cast(self._callback, ctypes.c_void_p).value or 0
 
 
+class ConstraintCalls:
+    """A constraint in Python that compiled code calls by address, see `motion.Space.called`.
+
+    Exceptions cannot cross compiled code: one is kept in `error`, and the projection counts as
+    failed. The object must outlive its use.
+    """
+
+    def __init__(self, constraint: Constraint, robot: Robot, chord: float) -> None:
+        self.error: BaseException | None = None
+        self.ends = ends = np.zeros((2, robot.dof))
+
+        def project() -> bool:
+            q = project_in_numpy(constraint, ends[0], robot.lower, robot.upper)
+            if q is not None:
+                ends[0] = q
+            return q is not None
+
+        def chord_on_manifold() -> bool:
+            middle = 0.5 * (ends[0] + ends[1])
+            return bool(np.linalg.norm(constraint.residual(middle)) <= chord)
+
+        def guarded(function: Callable[[], bool]) -> Callable[[], bool]:
+            def call() -> bool:
+                try:
+                    return self.error is None and function()
+                except BaseException as error:
+                    self.error = error
+                    return False
+
+            return call
+
+        as_address = ctypes.CFUNCTYPE(ctypes.c_bool)
+        self._calls = [as_address(guarded(one)) for one in (project, chord_on_manifold)]
+        self.addresses = [ctypes.cast(call, ctypes.c_void_p).value or 0 for call in self._calls]
+
+
 class ConstrainedSpace:
     """Compiled arrays of a robot, a scene and a constraint, and counters of the work done in them.
 
     Args:
         robot: the robot.
         scene: obstacles.
-        constraint: F(q) = 0; None: all configurations.
+        constraint: F(q) = 0; None: all configurations. Without compiled regions, compiled code
+            calls its Python functions: a projection then takes about a hundred times as long.
         attachments: bodies that the robot carries.
         clearance: kept from obstacles in addition to `margin` [m].
         backend: state checks are "compiled", or "exact" by `checker`; all else is the same code.
@@ -200,6 +239,11 @@ class ConstrainedSpace:
         exact = checker(margin) if checker is not None and backend == "exact" else None
         self._check = StateCheck(exact, n)
         regions = no_regions() if constraint is None else constraint.inner_regions(inset)
+        self._calls: ConstraintCalls | None = None
+        if constraint is not None and constraint.dim > len(regions.axis):
+            # no bound is tightened: |F| may be what the certificate allows
+            self._calls = ConstraintCalls(constraint, robot, CERTIFIED_CHORD)
+        addresses = self._calls.addresses if self._calls else (0, 0)
         self.arrays = motion.Space(
             kinematics=robot.kinematics,
             regions=regions,
@@ -219,6 +263,10 @@ class ConstrainedSpace:
             counters=np.zeros(8, dtype=np.int64),
             state=np.zeros(n),
             scratch=projection_scratch(n, regions),
+            called=self._calls is not None,
+            project_call=addresses[0],
+            chord_call=addresses[1],
+            ends=self._calls.ends if self._calls else np.zeros((2, n)),
         )
         check_arrays(self.arrays)
         self.doubtful = ()
@@ -277,15 +325,16 @@ class ConstrainedSpace:
         return Counters(*(self.arrays.counters - [*vars(before).values()]).tolist())
 
     def reraise(self) -> None:
-        """Raise what a Python state check raised inside compiled code, Ctrl-C included."""
-        if self._check.error is not None:
-            error, self._check.error = self._check.error, None
-            raise error
+        """Raise what Python code raised inside compiled code, Ctrl-C included."""
+        for call in (self._check, self._calls):
+            if call is not None and call.error is not None:
+                error, call.error = call.error, None
+                raise error
 
     @property
     def dim(self) -> int:
-        """Number m of bounded rows of the constraint."""
-        return len(self.arrays.regions.axis)
+        """Number m of entries of F."""
+        return 0 if self.constraint is None else self.constraint.dim
 
     def project(self, q: np.ndarray) -> bool:
         """Project q (n,) in place onto the manifold, inside the limits; True on success."""
@@ -311,6 +360,8 @@ class ConstrainedSpace:
     ) -> tuple[np.ndarray, np.ndarray]:
         """F(q) (m,) and dF/dq (m, n)."""
         self._require_configuration(q)
+        if self._calls is not None and self.constraint is not None:
+            return self.constraint.residual_and_jacobian(q)
         residual, jacobian = np.zeros(self.dim), np.zeros((self.dim, self.robot.dof))
         constraint_one.unchecked(self.arrays, q, full, residual, jacobian)
         return residual, jacobian

@@ -14,7 +14,7 @@ from itertools import pairwise
 import numpy as np
 
 from cvqmpt_lab.base.errors import InvalidInputError, whole_number
-from cvqmpt_lab.constraints.task_space_region import RegionConstraint
+from cvqmpt_lab.constraints.region_constraint import RegionConstraint
 from cvqmpt_lab.planning.pipeline import with_drawn_goals
 from cvqmpt_lab.planning.planners import planner_named
 from cvqmpt_lab.problem import PlanningProblem

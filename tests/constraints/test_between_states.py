@@ -13,13 +13,14 @@ from scipy.spatial.transform import Rotation
 from cvqmpt_lab.base.codec import from_plain, to_plain
 from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.benchmarks.two_arms import hold
-from cvqmpt_lab.certificate.between_states import _between, evenly_spaced, largest_violation
+from cvqmpt_lab.certificate.between_states import evenly_spaced, largest_violation
+from cvqmpt_lab.constraints.bounds_between import bound_between
 from cvqmpt_lab.constraints.named import Region, relative_pose
 from cvqmpt_lab.constraints.project import PROJECTION_TOLERANCE
+from cvqmpt_lab.constraints.region_constraint import RegionConstraint
 from cvqmpt_lab.constraints.report import bound_usage, displacements, excess
 from cvqmpt_lab.constraints.task_space_region import (
     FREE,
-    RegionConstraint,
     TaskSpaceRegion,
     TaskSpaceRegionChain,
     symmetric_region,
@@ -248,7 +249,7 @@ def require_bound(robot, kind, step, rng, tries):
         region = bulging(robot, relative(robot, states), kind, rng)
         x = displacements(robot, region, states)
         beyond = excess(region, x).max(axis=1)
-        more, _ = _between(robot, region, states[[0, -1]], x[[0, -1]])
+        more, _ = bound_between(robot, region, states[[0, -1]], x[[0, -1]])
         rise = beyond.max() - max(beyond[0], beyond[-1])
         assert rise <= more[0] + 1e-9
         share = max(share, rise / max(more[0], 1e-12))

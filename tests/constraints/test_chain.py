@@ -27,7 +27,7 @@ from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.goals import sample_region
 from cvqmpt_lab.constraints.named import Region
 from cvqmpt_lab.constraints.project import PROJECTION_TOLERANCE
-from cvqmpt_lab.constraints.task_space_region import RegionConstraint
+from cvqmpt_lab.constraints.region_constraint import RegionConstraint
 from cvqmpt_lab.planning.pipeline import solve, with_drawn_goals
 from cvqmpt_lab.planning.planners import planner_named
 from cvqmpt_lab.problem import PlanningProblem

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from cvqmpt_lab.constraints.project import PROJECTION_TOLERANCE
-from cvqmpt_lab.constraints.task_space_region import RegionConstraint, TaskSpaceRegion, upright
+from cvqmpt_lab.constraints.region_constraint import RegionConstraint
+from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, upright
 
 
 def region_at(position, half):

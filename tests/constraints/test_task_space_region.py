@@ -10,11 +10,10 @@ from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.benchmarks.kitchen import kitchen
 from cvqmpt_lab.benchmarks.place_task import DOOR
 from cvqmpt_lab.constraints.named import Region
+from cvqmpt_lab.constraints.region_constraint import RegionConstraint, stack_regions
 from cvqmpt_lab.constraints.task_space_region import (
-    RegionConstraint,
     TaskSpaceRegion,
     TaskSpaceRegionChain,
-    stack_regions,
     upright,
     upright_box,
 )

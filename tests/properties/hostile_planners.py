@@ -21,7 +21,7 @@ import safetensors.numpy
 
 from cvqmpt_lab.certificate import certificate
 from cvqmpt_lab.collision.exact import CollisionChecker
-from cvqmpt_lab.constraints.task_space_region import RegionConstraint
+from cvqmpt_lab.constraints.region_constraint import RegionConstraint
 from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.search import planner_interface
 from cvqmpt_lab.search.planner_interface import GaussianMixture, Proposal, Uniform

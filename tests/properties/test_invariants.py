@@ -15,12 +15,8 @@ from cvqmpt_lab.base.codec import from_plain, to_plain
 from cvqmpt_lab.base.poses import Placement
 from cvqmpt_lab.benchmarks.families import random_scene
 from cvqmpt_lab.constraints.project import PROJECTION_TOLERANCE
-from cvqmpt_lab.constraints.task_space_region import (
-    FREE,
-    RegionConstraint,
-    TaskSpaceRegion,
-    TaskSpaceRegionChain,
-)
+from cvqmpt_lab.constraints.region_constraint import RegionConstraint
+from cvqmpt_lab.constraints.task_space_region import FREE, TaskSpaceRegion, TaskSpaceRegionChain
 from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import panda

@@ -21,7 +21,8 @@ from cvqmpt_lab.benchmarks.two_arms import LAYOUTS, hold
 from cvqmpt_lab.certificate.certificate import TOLERANCE, certify
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.named import relative_pose
-from cvqmpt_lab.constraints.task_space_region import RegionConstraint, TaskSpaceRegion
+from cvqmpt_lab.constraints.region_constraint import RegionConstraint
+from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.hulls import OVERLAP

@@ -10,7 +10,8 @@ from refusals import refused
 from small_models import compact_config, random_checkpoint
 
 from cvqmpt_lab.base.errors import CvqmptError
-from cvqmpt_lab.constraints.task_space_region import RegionConstraint, upright
+from cvqmpt_lab.constraints.region_constraint import RegionConstraint
+from cvqmpt_lab.constraints.task_space_region import upright
 from cvqmpt_lab.vqmpt.checkpoint import stored
 from cvqmpt_lab.vqmpt.codebook import Codebook
 from cvqmpt_lab.vqmpt.latent_update import LatentObjective, LatentOptimizer, LatentSettings
