@@ -1,7 +1,7 @@
-"""Random scenes of several kinds for training, so that samplers do not depend on one kitchen.
+"""Families of random scenes for training: samplers must not depend on one kitchen.
 
-A scene is its family and a number, which seeds numpy's `default_rng`. Evaluation scenes are made
-elsewhere; the kitchen of the tasks, with its published dimensions, is never among these.
+A scene has a family and a number, which seeds numpy's `default_rng`. The kitchen of the tasks, with
+its published dimensions, is never one of these scenes.
 """
 
 import math
@@ -13,7 +13,7 @@ import numpy as np
 from cvqmpt_lab.base.errors import InvalidInputError, require_choice, whole_number
 from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.base.values import FloatArray
-from cvqmpt_lab.benchmarks.kitchen import PUBLISHED, kitchen
+from cvqmpt_lab.benchmarks.kitchen import KITCHEN_DIMENSIONS, kitchen
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, Cylinder, Sphere
 
@@ -21,9 +21,10 @@ from cvqmpt_lab.scene.shapes import Box, Cylinder, Sphere
 def random_scene(seed: int, n_cubes: int = 8, n_spheres: int = 8) -> Scene:
     """Return environment `seed` of the published training data: cubes with random yaw, and spheres.
 
-    The seed, 0 to 2**32 - 1, seeds numpy's legacy generator, whose stream is frozen, so environment
-    n is the same everywhere. Order of the draws: cube distances, elevations, azimuths, yaws; sphere
-    distances, elevations, azimuths. The older 6-joint data used 6 cubes and 6 spheres.
+    The seed, 0 to 2**32 - 1, seeds numpy's legacy generator, which never changes: environment n is
+    the same everywhere. Order of the random numbers: distances, elevations, azimuths and yaws of
+    cubes; distances, elevations and azimuths of spheres. The older data of 6 joints had 6 cubes and
+    6 spheres.
     """
     for what, value in (("seed", seed), ("n_cubes", n_cubes), ("n_spheres", n_spheres)):
         whole_number(what, value, 0, 2**32 - 1)
@@ -39,7 +40,7 @@ def random_scene(seed: int, n_cubes: int = 8, n_spheres: int = 8) -> Scene:
 
 
 def _scattered(rng: np.random.RandomState, count: int, lift: float) -> FloatArray:
-    """Points (count, 3) [m] on a spherical shell around a point `lift` [m] above the base."""
+    """Draw points (count, 3) [m] in a spherical shell around a point `lift` [m] above the base."""
     distance = rng.uniform(0.4, 1.2, count)
     elevation = rng.uniform(-0.25 * math.pi, 0.5 * math.pi, count)
     azimuth = rng.uniform(0.0, 2.0 * math.pi, count)
@@ -50,8 +51,9 @@ def _scattered(rng: np.random.RandomState, count: int, lift: float) -> FloatArra
 class Family(NamedTuple):
     """A kind of random scenes."""
 
-    name: str  # of its scenes, before their number
-    seed: int  # seeds the generator together with the number of the scene
+    name: str  # start of the names of its scenes; their number follows
+    seed: int  # seed of the generator, together with the number of the scene
+    # draws the objects of a scene
     objects: Callable[[np.random.Generator], Iterable[SceneObject]]
 
 
@@ -67,23 +69,23 @@ def family_scene(family: str, number: int) -> Scene:
 
 
 def another_scene() -> Scene:
-    """The scene that controls are given in place of a problem's own."""
+    """Return the scene that controls (ablations) get in place of the problem's scene."""
     return family_scene("shelves", 77)
 
 
 def _tables(
     spans: Sequence[tuple[float, float]],
     counts: tuple[int, int],
-    thing: Callable[[np.random.Generator], tuple[Box | Cylinder | Sphere, float]],
+    draw_item: Callable[[np.random.Generator], tuple[Box | Cylinder | Sphere, float]],
     board: float = 0.02,
 ) -> Callable[[np.random.Generator], Iterator[SceneObject]]:
-    """A table with items on it.
+    """Return a function that draws a table with items on it.
 
     Args:
-        spans: ranges of its depth, width, height and distance [m], and of its angle [rad].
-        counts: range of the number of items, the last excluded.
-        thing: draws one of them.
-        board: thickness of its top [m].
+        spans: ranges of the table's depth, width, height, distance [m] and angle [rad].
+        counts: range of the number of items, upper end excluded.
+        draw_item: draws the shape of an item and its height [m].
+        board: thickness of the table top [m].
     """
 
     def objects(rng: np.random.Generator) -> Iterator[SceneObject]:
@@ -92,15 +94,15 @@ def _tables(
         yield SceneObject("top", Box((depth, width, board)), T @ pose((x, 0.0, top - board / 2)))
         for i in range(rng.integers(*counts)):
             place = (x + rng.uniform(-0.45, 0.45) * depth, rng.uniform(-0.45, 0.45) * width)
-            shape, height = thing(rng)
-            stands = pose((*place, top + height / 2), rng.uniform(-np.pi, np.pi))
-            yield SceneObject(f"item_{i}", shape, T @ stands)
+            shape, height = draw_item(rng)
+            T_table_item = pose((*place, top + height / 2), rng.uniform(-np.pi, np.pi))
+            yield SceneObject(f"item_{i}", shape, T @ T_table_item)
 
     return objects
 
 
 def _clutter(rng: np.random.Generator) -> tuple[Box | Cylinder | Sphere, float]:
-    """An item that stands on a table, and its height [m]."""
+    """Draw an item on a table; return its shape and height [m]."""
     kind, height = rng.integers(3), rng.uniform(0.1, 0.4)
     if kind == 0:
         return Box((rng.uniform(0.05, 0.25), rng.uniform(0.05, 0.25), height)), height
@@ -111,15 +113,15 @@ def _clutter(rng: np.random.Generator) -> tuple[Box | Cylinder | Sphere, float]:
 
 
 def _slim(rng: np.random.Generator) -> tuple[Box | Cylinder, float]:
-    """A slim item, and its height [m]."""
+    """Draw a slim item; return its shape and height [m]."""
     radius, height = rng.uniform(0.02, 0.06), rng.uniform(0.15, 0.5)
-    return Cylinder(radius, height) if rng.random() < 0.5 else Box(
-        (2 * radius, 2 * radius, height)
-    ), height
+    if rng.random() < 0.5:
+        return Cylinder(radius, height), height
+    return Box((2 * radius, 2 * radius, height)), height
 
 
 def _cage(rng: np.random.Generator) -> Iterator[SceneObject]:
-    """Upright bars in a ring around the robot, with gaps wide enough for an arm, and hoops."""
+    """Draw a ring of vertical bars around the robot, with gaps for an arm, and hoops."""
     ring, radius = rng.uniform(0.4, 0.65), rng.uniform(0.01, 0.03)
     low, high = rng.uniform(-0.4, 0.0), rng.uniform(0.7, 1.2)
     count = int(2.0 * np.pi * ring / rng.uniform(0.22, 0.4))
@@ -138,12 +140,12 @@ def _cage(rng: np.random.Generator) -> Iterator[SceneObject]:
 def _cabinets(
     widths: tuple[float, float], gaps: tuple[float, float], boards: tuple[int, int]
 ) -> Callable[[np.random.Generator], Iterator[SceneObject]]:
-    """One to three open cabinets around the robot, each with boards and things on them.
+    """Return a function that draws one to three open cabinets around the robot, with items.
 
     Args:
         widths: range of a cabinet's width [m].
-        gaps: range of the height between two of its boards [m].
-        boards: range of their number, the last excluded.
+        gaps: range of the height between two boards [m].
+        boards: range of the number of boards, upper end excluded.
     """
 
     def objects(rng: np.random.Generator) -> Iterator[SceneObject]:
@@ -168,14 +170,14 @@ def _cabinet(
     levels: FloatArray,
     board: float = 0.02,
 ) -> Iterator[SceneObject]:
-    """A cabinet open towards the robot: back, two sides, boards, a few things inside.
+    """Yield a cabinet that is open towards the robot: back, two sides, boards, a few items.
 
     Args:
-        name: before the names of its pieces.
-        T: (4, 4), turns it about the robot.
-        rng: draws the things.
+        name: start of the names of its pieces.
+        T: (4, 4) rotation about the robot.
+        rng: random numbers for the items.
         size: distance from the robot, depth, width [m].
-        levels: heights of its boards [m].
+        levels: heights of the boards [m].
         board: thickness of boards and walls [m].
     """
     near, depth, width = size
@@ -199,18 +201,18 @@ def _cabinet(
 
 
 def _random_kitchen(rng: np.random.Generator, spread: float = 0.2) -> tuple[SceneObject, ...]:
-    """The kitchen with other dimensions, and doors and drawers moved at random.
+    """Draw a kitchen with random dimensions and random values of doors and drawers.
 
-    spread: share by which its dimensions may differ from the published ones.
+    spread: largest relative difference of a dimension from the published one.
     """
     fixed = ("floor", "pedestal", "wall", "handle", "knob", "plate")
-    names = [name for name in PUBLISHED if not name.startswith(fixed)]
+    names = [name for name in KITCHEN_DIMENSIONS if not name.startswith(fixed)]
     while True:
         changed = rng.choice(names, size=len(names) // 2, replace=False)
         factors = {str(name): 1.0 + rng.uniform(-spread, spread) for name in changed}
         try:
-            scene = kitchen({name: PUBLISHED[name] * factors[name] for name in factors})
-        except InvalidInputError:  # pieces do not fit each other
+            scene = kitchen({name: KITCHEN_DIMENSIONS[name] * factors[name] for name in factors})
+        except InvalidInputError:  # the dimensions do not fit together
             continue
         for joint in scene.articulations:
             if rng.random() < 0.4:
@@ -228,7 +230,7 @@ FAMILIES: Mapping[str, Family | None] = {
     ),
     "shelves": Family("shelves", 2, _cabinets((0.35, 0.9), (0.25, 0.5), (2, 5))),
     "kitchen-like": Family("kitchen", 3, _random_kitchen),
-    # reached from its side, at elbow height, full of slim items as tall as a forearm
+    # at elbow height, on any side of the robot, with many slim items up to a forearm's length
     "cluttered-table": Family(
         "cluttered_table",
         4,
@@ -236,7 +238,7 @@ FAMILIES: Mapping[str, Family | None] = {
             ((0.5, 0.8), (0.6, 1.2), (0.05, 0.45), (0.25, 0.4), (-np.pi, np.pi)), (8, 19), _slim
         ),
     ),
-    # compartments that a hand just fits into
+    # compartments that are just large enough for a hand
     "narrow-shelves": Family("narrow_shelves", 6, _cabinets((0.25, 0.45), (0.17, 0.3), (3, 7))),
     "cage": Family("cage", 5, _cage),
 }

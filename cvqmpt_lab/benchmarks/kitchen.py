@@ -1,11 +1,11 @@
 """The kitchen of the place and multi-sequence tasks, built from its dimensions.
 
-World frame: robot base link, +x towards the kitchen's back wall, +y to the left as the robot looks
-at it, z up; metres and radians. The dimensions of `kitchen.toml` reproduce the kitchen of the
-published experiment code piece by piece within 5 mm. Row and door names ("dagger", "sektion",
-"hitman", "indigo") are the ones of that kitchen: dagger and indigo are right of the range, above
-and below the counter; sektion and hitman are left of it. Cabinets are hollow and have no back
-panel: the back wall closes them.
+World frame: robot base link, +x towards the back wall of the kitchen, +y to the left, z up; metres
+and radians. With the dimensions of `kitchen.toml` every piece agrees with the kitchen of the
+published experiment code within 5 mm. Names of rows and doors ("dagger", "sektion", "hitman",
+"indigo") are those of that kitchen: dagger and indigo are right of the range, above and below the
+counter; sektion and hitman are left of it. Cabinets are hollow and have no back panel: the back
+wall closes them.
 """
 
 import math
@@ -23,8 +23,10 @@ from cvqmpt_lab.base.values import FloatArray, Length
 from cvqmpt_lab.scene.scene import Articulation, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, Cylinder
 
-PUBLISHED: Mapping[str, float] = tomllib.loads(Path(__file__).with_suffix(".toml").read_text())
-"""Dimensions of the published kitchen [m], and its doors' range [rad], by name."""
+KITCHEN_DIMENSIONS: Mapping[str, float] = tomllib.loads(
+    Path(__file__).with_suffix(".toml").read_text()
+)
+"""Dimensions of the published kitchen [m] and range of its doors [rad], by name."""
 Span = tuple[float, float]
 Piece = SceneObject | Articulation
 
@@ -32,19 +34,19 @@ Piece = SceneObject | Articulation
 def kitchen(
     changes: Mapping[str, float] | None = None, door_angles: Mapping[str, float] | None = None
 ) -> Scene:
-    """Build the kitchen with the robot's pedestal and the floor, which is visible but no obstacle.
+    """Build the kitchen with the robot's pedestal and the floor, which is not an obstacle.
 
-    Hinges: "dagger_door_left" (the only one opened in the tasks: -1.57 to place, -0.45 pi in the
+    Hinges: "dagger_door_left" (the only one that the tasks open: -1.57 to place, -0.45 pi in the
     multi-sequence task), "{dagger,chewie}_door_right", "chewie_door_left", "baker_door",
     "indigo_door_{left,right}". Sliders: "{hitman,indigo}_drawer_{top,bottom}".
 
     Args:
-        changes: dimensions that differ from those of `kitchen.toml`, by name.
-        door_angles: values of articulations by name, hinges [rad], drawers [m]; default 0, closed.
+        changes: dimensions in place of those of `kitchen.toml`, by name.
+        door_angles: values of articulations by name, hinges [rad], drawers [m]; default 0: closed.
     """
     p = _dimensions(changes or {})
     pieces: list[Piece] = [
-        *_room(p),
+        *_walls(p),
         *_range(p),
         *_wall_cabinets("sektion", p),
         *_wall_door("baker_door", "sektion", 2, -1, p),
@@ -71,10 +73,10 @@ def kitchen(
 
 
 def _dimensions(changes: Mapping[str, float]) -> SimpleNamespace:
-    """The dimensions and what follows from them; InvalidInputError: they do not fit together."""
-    p = SimpleNamespace(**PUBLISHED)
+    """Return given and derived dimensions; InvalidInputError if they do not fit together."""
+    p = SimpleNamespace(**KITCHEN_DIMENSIONS)
     for name, value in changes.items():
-        require_choice("dimension of the kitchen", name, PUBLISHED)
+        require_choice("dimension of the kitchen", name, KITCHEN_DIMENSIONS)
         kind = float if name.endswith(("_x", "_y", "_z")) else Length
         setattr(p, name, from_plain(kind, value, f"kitchen dimension {name}"))
     p.base_width = 2.0 * p.cabinet_width
@@ -83,14 +85,14 @@ def _dimensions(changes: Mapping[str, float]) -> SimpleNamespace:
     p.left_y = p.range_y + 0.5 * p.range_width + p.range_side_gap
     p.right_y = p.range_y - 0.5 * p.range_width - p.range_side_gap - p.base_width
     p.right_wall_y = p.right_y - p.right_counter_gap
-    # face of the doors and front panels of the base cabinets, and upper edge of the uppermost
+    # face of the doors and front panels of the base cabinets, and their upper edge
     p.base_face_x = p.cabinet_back_x - p.base_cabinet_depth - p.base_front_gap - p.door_thickness
     p.base_front_top_z = p.base_cabinet_bottom_z + p.base_cabinet_height - p.base_front_reveal
-    # each of the two front panels that cover the left base cabinet
+    # height of each of the two front panels of the left base cabinet
     covered = p.base_front_top_z - p.base_cabinet_bottom_z
     p.hitman_front_height = 0.5 * covered - p.stacked_front_gap
     p.indigo_door_top_z = p.base_front_top_z - 2.0 * (p.indigo_front_height + p.stacked_front_gap)
-    # rows of wall cabinets: number of cells, counted from the right end, whose y follows; bottom z
+    # rows of wall cabinets: number of cells, y of the right end, z of the bottom
     p.wall_rows = {
         "dagger": (2, p.right_y, p.dagger_bottom_z),
         "sektion": (3, p.left_y, p.sektion_bottom_z),
@@ -102,29 +104,31 @@ def _dimensions(changes: Mapping[str, float]) -> SimpleNamespace:
 
 
 def _fitting_rules(p: SimpleNamespace) -> list[tuple[bool, str]]:
-    """Return (whether it holds, what is broken if not) of every rule of a consistent kitchen."""
-    boards, handle, half_range = 2.0 * p.board_thickness, p.handle_length, 0.5 * p.range_width
+    """Return (whether the dimensions meet it, message if not) for every rule of a kitchen."""
+    boards = 2.0 * p.board_thickness
+    handle = p.handle_length
+    half_range = 0.5 * p.range_width
     counter_z = p.base_cabinet_bottom_z + p.base_cabinet_height + p.countertop_thickness
     wall_door_height = p.wall_cabinet_height - p.door_gap
     base_door_height = p.indigo_door_top_z - (p.base_cabinet_bottom_z - p.base_door_overhang)
     drawer_width = p.base_width - boards - 2.0 * p.drawer_side_gap
-    drawer_room = p.base_cabinet_depth - p.base_back_thickness + p.base_front_gap
+    drawer_space = p.base_cabinet_depth - p.base_back_thickness + p.base_front_gap
     drawer_top = p.hitman_drawer_lift + p.drawer_height
     left_end = p.left_y + max(p.left_countertop_width, p.wall_rows["sektion"][0] * p.cabinet_width)
     wall_end = p.right_wall_y - p.wall_thickness + p.back_wall_width
     insets = (p.front_plate_side_inset, p.back_plate_side_inset)
     radii = (p.front_plate_radius, p.back_plate_radius)
     return [
-        (p.cabinet_width > boards, "cabinet_width leaves no room between two boards"),
+        (p.cabinet_width > boards, "cabinet_width leaves no space between two boards"),
         (p.cabinet_width > p.door_gap, "door_gap is wider than cabinet_width"),
-        (p.wall_cabinet_height > boards, "wall_cabinet_height leaves no room between two boards"),
+        (p.wall_cabinet_height > boards, "wall_cabinet_height leaves no space between two boards"),
         (
             p.wall_handle_side_inset < p.cabinet_width - p.door_gap,
-            "wall_handle_side_inset is off the door",
+            "wall_handle_side_inset is outside the door",
         ),
         (
             p.base_handle_side_inset < p.cabinet_width - p.door_gap,
-            "base_handle_side_inset is off the door",
+            "base_handle_side_inset is outside the door",
         ),
         (p.post_spacing < handle, "post_spacing is not below handle_length"),
         (
@@ -141,14 +145,17 @@ def _fitting_rules(p: SimpleNamespace) -> list[tuple[bool, str]]:
         ),
         (p.hood_bottom_z > p.range_top_z, "the hood reaches into the range"),
         (handle <= drawer_width, "drawers are narrower than their handles"),
-        (drawer_width > 2.0 * p.drawer_board_thickness, "drawers have no room between their sides"),
+        (
+            drawer_width > 2.0 * p.drawer_board_thickness,
+            "drawers are thinner than their sides",
+        ),
         (p.drawer_height <= p.indigo_front_height, "indigo_front_height is below drawer_height"),
         (
             drawer_top <= p.hitman_front_height,
             "hitman's drawers are higher than their front panels",
         ),
         (
-            p.drawer_length <= drawer_room,
+            p.drawer_length <= drawer_space,
             "drawer_length reaches through the back of the base cabinet",
         ),
         (p.drawer_travel <= p.drawer_length, "drawer_travel pulls the drawers out of the cabinet"),
@@ -165,12 +172,15 @@ def _fitting_rules(p: SimpleNamespace) -> list[tuple[bool, str]]:
             all(r <= i <= half_range - r for r, i in zip(radii, insets, strict=True)),
             "stove plates overlap",
         ),
-        (p.pedestal_top_z - p.pedestal_height <= p.floor_z, "the pedestal floats above the floor"),
+        (
+            p.pedestal_top_z - p.pedestal_height <= p.floor_z,
+            "the pedestal ends above the floor",
+        ),
         (p.door_range <= math.pi, "door_range turns the doors by more than half a turn"),
     ]
 
 
-def _room(p: SimpleNamespace) -> list[SceneObject]:
+def _walls(p: SimpleNamespace) -> list[SceneObject]:
     """Return the pedestal, the floor and the two walls."""
     half, outer_y = 0.5 * p.pedestal_side, p.right_wall_y - p.wall_thickness
     wall_z = (p.wall_bottom_z, p.wall_bottom_z + p.wall_height)
@@ -195,7 +205,8 @@ def _room(p: SimpleNamespace) -> list[SceneObject]:
 def _range(p: SimpleNamespace) -> list[SceneObject]:
     """Return the range (block, control panel, four plates, four knobs) and the extractor hood."""
     back_x = p.back_wall_x - p.range_wall_gap
-    front_x, top_z, half = back_x - p.range_depth, p.range_top_z, 0.5 * p.range_width
+    front_x, top_z = back_x - p.range_depth, p.range_top_z
+    half = 0.5 * p.range_width
     y = (p.range_y - half, p.range_y + half)
     panel_x, panel_z = (front_x, front_x + p.control_panel_depth), top_z + p.control_panel_thickness
     pieces = [
@@ -227,7 +238,7 @@ def _range(p: SimpleNamespace) -> list[SceneObject]:
 
 
 def _wall_cabinets(row: str, p: SimpleNamespace) -> Iterator[SceneObject]:
-    """Boards of a row of wall cabinets: bottom, top and two sides for each cell."""
+    """Yield the boards of a row of wall cabinets: bottom, top and two sides of each cell."""
     cells, right_y, bottom_z = p.wall_rows[row]
     board, width = p.board_thickness, p.cabinet_width
     x = (p.cabinet_back_x - p.wall_cabinet_depth, p.cabinet_back_x)
@@ -243,7 +254,7 @@ def _wall_cabinets(row: str, p: SimpleNamespace) -> Iterator[SceneObject]:
 
 
 def _wall_door(name: str, row: str, cell: int, hinge_side: int, p: SimpleNamespace) -> list[Piece]:
-    """The door of a wall cabinet cell, hinged at its left (+1) or right (-1) front edge."""
+    """Return the door of a wall cabinet cell, hinged at its left (+1) or right (-1) front edge."""
     _, row_y, bottom_z = p.wall_rows[row]
     cell_y, back_x = row_y + cell * p.cabinet_width, p.cabinet_back_x - p.wall_cabinet_depth
     z = shrunk((bottom_z, bottom_z + p.wall_cabinet_height), 0.5 * p.door_gap)
@@ -255,7 +266,7 @@ def _wall_door(name: str, row: str, cell: int, hinge_side: int, p: SimpleNamespa
 
 
 def _base_door(name: str, cell_y: float, hinge_side: int, p: SimpleNamespace) -> list[Piece]:
-    """A door below the right base cabinet's drawers, hinged left (+1) or right (-1)."""
+    """Return a door below the right base cabinet's drawers, hinged left (+1) or right (-1)."""
     z = (p.base_cabinet_bottom_z - p.base_door_overhang, p.indigo_door_top_z)
     x = (p.base_face_x, p.base_face_x + p.door_thickness)
     inset = p.base_hinge_inset
@@ -275,16 +286,17 @@ def _door(
     bar: tuple[float, float, float],
     p: SimpleNamespace,
 ) -> list[Piece]:
-    """A door with a vertical hinge; left (+1) opens to -door_range, right (-1) to +door_range.
+    """Return a door with a vertical hinge and its articulation.
 
     Args:
-        name: of the articulation.
-        hinge_side: +1 or -1.
-        cell_y: right end of the cell that the door closes.
-        x: of its panel.
-        z: of its panel.
-        hinge: x and y of the axis.
-        bar: the handle bar's distance from the panel's face and from its free edge; its middle z.
+        name: name of the articulation.
+        hinge_side: +1: left, opens to -door_range; -1: right, opens to +door_range.
+        cell_y: y of the right end of the cell that the door closes [m].
+        x: interval of the panel [m].
+        z: interval of the panel [m].
+        hinge: x and y of the axis [m].
+        bar: distance of the handle bar from the face of the panel, from its free edge, and z of the
+            middle [m].
         p: dimensions.
     """
     y = shrunk((cell_y, cell_y + p.cabinet_width), 0.5 * p.door_gap)
@@ -318,7 +330,7 @@ def _base_cabinet(
 
 
 def _drawers(cabinet: str, p: SimpleNamespace) -> Iterator[Piece]:
-    """Yield a cabinet's two drawers; hitman's fill it and have trays, indigo's are low."""
+    """Yield the two drawers of a cabinet; those of hitman fill it, those of indigo are low."""
     top_z, height = p.base_front_top_z, p.indigo_front_height
     if cabinet == "hitman":
         height = p.hitman_front_height
@@ -328,8 +340,9 @@ def _drawers(cabinet: str, p: SimpleNamespace) -> Iterator[Piece]:
 
 
 def _drawer(cabinet: str, name: str, front_z: Span, p: SimpleNamespace) -> list[Piece]:
-    """Return a drawer: front panel, handle, two sides, back, bottom and hitman's tray."""
-    middle_z, tray = 0.5 * sum(front_z), cabinet == "hitman"
+    """Return a drawer: front panel, handle, two sides, back, bottom; in hitman also a tray."""
+    middle_z = 0.5 * sum(front_z)
+    tray = cabinet == "hitman"
     cabinet_y = p.left_y if tray else p.right_y
     drawer_z = front_z[0] + p.hitman_drawer_lift if tray else middle_z - 0.5 * p.drawer_height
     handle_z = front_z[1] - p.hitman_handle_drop if tray else middle_z
@@ -358,7 +371,14 @@ def _drawer(cabinet: str, name: str, front_z: Span, p: SimpleNamespace) -> list[
 def handle(
     name: str, centre: tuple[float, float, float], axis: str, p: SimpleNamespace
 ) -> list[SceneObject]:
-    """Return a bar along `axis` ("y" or "z") at `centre`, and the two posts from it towards +x."""
+    """Return the bar of a handle and its two posts, which point from the bar to +x.
+
+    Args:
+        name: name of the door or drawer.
+        centre: centre of the bar (3,) [m].
+        axis: direction of the bar, "y" or "z".
+        p: dimensions.
+    """
     bar = cylinder(f"{name}/handle_bar", 0.5 * p.handle_diameter, p.handle_length, centre, axis)
     along = bar.T_world_object[:3, 2]
     ends = ("right", "left") if axis == "y" else ("lower", "upper")
@@ -371,7 +391,15 @@ def handle(
 
 
 def box(name: str, x: Span, y: Span, z: Span, obstacle: bool = True) -> SceneObject:
-    """Return an upright box that fills the three world intervals."""
+    """Return a box with edges along the world axes.
+
+    Args:
+        name: name of the object.
+        x: interval [m].
+        y: interval [m].
+        z: interval [m].
+        obstacle: False: visible, but not an obstacle.
+    """
     centre = (0.5 * sum(x), 0.5 * sum(y), 0.5 * sum(z))
     return SceneObject(name, Box((x[1] - x[0], y[1] - y[0], z[1] - z[0])), pose(centre), obstacle)
 
@@ -379,16 +407,25 @@ def box(name: str, x: Span, y: Span, z: Span, obstacle: bool = True) -> SceneObj
 def cylinder(
     name: str, radius: float, height: float, centre: Iterable[float], axis: str = "z"
 ) -> SceneObject:
-    """Return a cylinder whose axis is a world axis."""
+    """Return a cylinder along a world axis.
+
+    Args:
+        name: name of the object.
+        radius: [m].
+        height: [m].
+        centre: (3,) [m].
+        axis: "x", "y" or "z".
+    """
     return SceneObject(name, Cylinder(radius, height), oriented(axis, centre))
 
 
 def oriented(axis: str, xyz: Iterable[float]) -> FloatArray:
-    """Return the (4, 4) pose at `xyz` whose z points along a world axis: "x", "y", "z" or "-x"."""
+    """Return the (4, 4) pose at `xyz` [m] whose z is a world axis: "x", "y", "z" or "-x"."""
     columns = {"x": (1, 2, 0), "y": (2, 0, 1), "z": (0, 1, 2), "-x": (2, 1, 0)}[axis]
-    return rigid(np.eye(3)[:, columns] * (1.0, 1.0, -1.0 if axis == "-x" else 1.0), xyz)
+    sign = -1.0 if axis == "-x" else 1.0
+    return rigid(np.eye(3)[:, columns] * (1.0, 1.0, sign), xyz)
 
 
 def shrunk(span: Span, margin: float) -> Span:
-    """Return the interval made smaller by `margin` at both ends."""
+    """Return the interval without `margin` [m] at both ends."""
     return span[0] + margin, span[1] - margin

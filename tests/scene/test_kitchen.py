@@ -1,4 +1,4 @@
-"""The kitchen against measurements of the published one, its joints, and other kitchens."""
+"""The kitchen has the measured dimensions and joints of the published one."""
 
 import numpy as np
 import pytest
@@ -71,7 +71,7 @@ def test_hinges_have_the_measured_axes_and_ranges():
         assert set(joint.moves) == {item.name for item in scene if item.name.startswith(f"{name}/")}
         opened = scene.with_joint(name, lower + upper)
         panels = [each[f"{name}/panel"].T_world_object[0, 3] for each in (scene, opened)]
-        assert panels[1] < panels[0] - 0.15, "it opens towards the room"
+        assert panels[1] < panels[0] - 0.15, "the door opens towards the robot"
 
 
 @pytest.mark.parametrize("name", DRAWERS)
