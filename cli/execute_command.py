@@ -64,13 +64,13 @@ def run(args: argparse.Namespace) -> int:
     else:
         print("\n".join(_lines(executions)))
     if args.film is not None:
-        from cvqmpt_lab.show.bodies import Frame, seen_of_frames
+        from cvqmpt_lab.show.bodies import Frame, drawing_of_frames
         from cvqmpt_lab.show.picture import film_solution
 
         first = executions[0]
         frames = [Frame(*moment) for moment in first.moments]
-        seen = seen_of_frames(f"{first.name}: {outcome}", first.scene, frames, most=110)
-        film_solution(seen, args.film, progress=ProgressBar("film"))
+        drawing = drawing_of_frames(f"{first.name}: {outcome}", first.scene, frames, most=110)
+        film_solution(drawing, args.film, progress=ProgressBar("film"))
         if not args.json:
             print(f"film written to {args.film}")
     return 0 if outcome == Outcome.EXECUTED else 1

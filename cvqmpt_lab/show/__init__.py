@@ -1,7 +1,7 @@
 """Pictures without a display, films, web pages, and recordings for rerun.
 
-Inside IPython an import of this package shows robots, scenes, problems, tasks and their solutions
-as pictures; elsewhere it imports nothing.
+If this package is imported in IPython, notebooks show robots, scenes, problems, tasks and their
+solutions as pictures. Outside of IPython it imports nothing.
 """
 
 import sys
@@ -9,10 +9,10 @@ from typing import Any
 
 
 def load_ipython_extension(shell: Any) -> None:
-    """Let a shell of IPython show all that `draw` draws; `%load_ext cvqmpt_lab.show` calls it."""
-    from cvqmpt_lab.show.picture import DRAWN, html_of, png_of
+    """Show values of all types of `draw` as pictures; `%load_ext cvqmpt_lab.show` calls this."""
+    from cvqmpt_lab.show.picture import DRAWN_TYPES, html_of, png_of
 
-    for kind in DRAWN:
+    for kind in DRAWN_TYPES:
         shell.display_formatter.formatters["image/png"].for_type(kind, png_of)
         shell.display_formatter.formatters["text/html"].for_type(kind, html_of)
 

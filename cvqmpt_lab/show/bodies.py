@@ -1,7 +1,7 @@
-"""Bodies to draw of a scene, robot, solution or task, each with a mesh, a colour and poses.
+"""Drawings of scenes, robots, solutions and tasks: bodies with a mesh, a colour and poses.
 
-Pictures, films, web pages and recordings draw only these, so they need not know what a planner or
-constraint is.
+Pictures, films, web pages and recordings use only drawings, so they do not depend on planners and
+constraints.
 """
 
 import math
@@ -37,11 +37,17 @@ from cvqmpt_lab.tasks.solve import TaskSolution
 from cvqmpt_lab.tasks.task import PlannedPhase
 from cvqmpt_lab.tasks.world import Load, World
 
-# red, green, blue in [0, 1]; GHOST: poses between start and goal; TRACE: path of the hand
-ROBOT, GHOST, GOAL = (0.90, 0.90, 0.92), (0.25, 0.50, 0.90), (0.16, 0.68, 0.38)
-LOAD, TRACE, CONSTRAINT = (0.86, 0.24, 0.20), (0.96, 0.55, 0.05), (0.60, 0.25, 0.72)
+# "ghost": robot between start and goal; "trace": path of the hand
+BODY_COLOURS: Mapping[str, Colour] = {
+    "robot": (0.90, 0.90, 0.92),
+    "ghost": (0.25, 0.50, 0.90),
+    "goal": (0.16, 0.68, 0.38),
+    "load": (0.86, 0.24, 0.20),
+    "trace": (0.96, 0.55, 0.05),
+    "constraint": (0.60, 0.25, 0.72),
+}
 # of scene objects, by the beginning of a word in their name; the first match is used
-KIND_COLOURS: Mapping[str, Colour] = {
+OBJECT_COLOURS: Mapping[str, Colour] = {
     "floor": (0.88, 0.87, 0.85),
     "wall": (0.93, 0.92, 0.89),
     "handle": (0.52, 0.54, 0.57),
@@ -56,23 +62,23 @@ KIND_COLOURS: Mapping[str, Colour] = {
     "mustard": (0.93, 0.78, 0.22),
     "can": (0.86, 0.24, 0.20),
 }
-HIDDEN = ("walls/right",)  # objects not drawn: they hide the robot from the usual viewpoint
+HIDDEN_OBJECTS = ("walls/right",)  # not drawn: they would hide the robot from the usual viewpoint
 
 
 @dataclass(frozen=True, eq=False)
 class Body:
     """A mesh in one colour, and its pose at every state."""
 
-    group: str  # its name in legends
-    layer: str  # bodies drawn together: "scene", "goals/0", "path"
+    group: str  # name in legends
+    layer: str  # name of the bodies that are drawn together: "scene", "goals/0", "path"
     name: str
     mesh: Mesh  # in its own frame
     colour: Colour
     # T_world_body (m, 4, 4) [m] at m states, or (1, 4, 4) if it does not move
     poses: np.ndarray = field(default_factory=lambda: np.eye(4)[None])
     opacity: float = 1.0
-    behind: float = 0.0  # opacity where something solid is in front of it
-    aside: bool = False  # a torso between two arms: a viewpoint is chosen for what it moves
+    behind: float = 0.0  # opacity where a solid body is in front of it
+    torso: bool = False  # torso between two arms: viewpoints are chosen for the arms alone
 
     def at(self, state: int = 0) -> Mesh:
         """Its triangles in the world at a state of the path."""
@@ -80,34 +86,34 @@ class Body:
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
-    """Everything that is shown of a problem, a solution or a task."""
+class Drawing:
+    """Bodies, labels and plots of a problem, a solution or a task."""
 
     title: str
     scene: Sequence[Body]  # bodies that do not move
-    ground: float | None  # height of the highest floor [m]
-    moving: Sequence[Body]  # the robot and what it moves, with m poses each
+    ground: float | None  # height of the highest floor [m]; None: no floor
+    moving: Sequence[Body]  # the robot and the objects that it moves, with m poses each
     over: Sequence[Body]  # start, goals, trace, constraint and axes, drawn over the rest
     labels: Sequence[str]  # one per state
     times: np.ndarray | None = None  # (m,) of a task's states [s]
     plots: Sequence[Plot] = ()
-    lines: Sequence[str] = ()  # of text, below the drawing of a web page
+    lines: Sequence[str] = ()  # text below the drawing on a web page
 
     @property
     def floor(self) -> list[Body]:
-        """A square plate whose top is at height `ground`; none without ground."""
+        """A square plate with its top at height `ground`; empty if there is no floor."""
         if self.ground is None:
             return []
         mesh, T = shape_mesh(Box((5.0, 5.0, 0.02))), pose((0.0, 0.0, self.ground - 0.01))
         return [Body("floor", "scene", "floor", mesh, colour_of("floor"), T[None])]
 
     def bodies(self, *names: str) -> list[Body]:
-        """Scene, floor, moving bodies, and those of `over` in the named layers, see `layers`."""
+        """Bodies of the scene, floor, moving bodies, and those of `over` in the named layers."""
         over = [body for layer in self.layers(*names).values() for body in layer]
         return [*self.scene, *self.floor, *self.moving, *over]
 
     def layers(self, *names: str) -> dict[str, list[Body]]:
-        """Bodies of `over` by layer, for layers whose part before "/" is among the names."""
+        """Bodies of `over` by layer, for the layers whose name before "/" is one of `names`."""
         found: dict[str, list[Body]] = {}
         for body in self.over:
             if body.layer.split("/")[0] in names:
@@ -116,14 +122,16 @@ class Seen:
 
 
 def colour_of(name: str, other: Colour = (0.87, 0.77, 0.62)) -> Colour:
-    """Colour of a scene object by its name; `other` if no word of `KIND_COLOURS` matches."""
+    """Colour of a scene object by its name; `other` if no word of `OBJECT_COLOURS` matches."""
     words = re.split("[^a-z]+", name.lower())
-    fits = (kind for kind in KIND_COLOURS if any(word.startswith(kind) for word in words))
-    return KIND_COLOURS.get(next(fits, ""), other)
+    for kind, colour in OBJECT_COLOURS.items():
+        if any(word.startswith(kind) for word in words):
+            return colour
+    return other
 
 
-def scene_bodies(scene: Scene, hidden: Sequence[str] = HIDDEN) -> list[Body]:
-    """The scene's objects without `hidden` ones and floors (boxes that are no obstacles)."""
+def scene_bodies(scene: Scene, hidden: Sequence[str] = HIDDEN_OBJECTS) -> list[Body]:
+    """Objects of the scene, without those in `hidden` and floors (boxes that are no obstacles)."""
     return [
         Body(
             "scene",
@@ -151,66 +159,78 @@ def ground_height(scene: Scene) -> float | None:
 def robot_bodies(
     problem: PlanningProblem,
     states: np.ndarray,
-    colour: Colour = ROBOT,
+    colour: Colour = BODY_COLOURS["robot"],
     group: str = "robot",
     layer: str = "robot",
     opacity: float = 1.0,
 ) -> list[Body]:
-    """Convex hulls of the robot's links, and attached objects, at states (m, n) [rad or m]."""
+    """Convex hulls of the robot's links, and attached objects, at states.
+
+    Args:
+        problem: the problem with robot and attachments.
+        states: (m, n) [rad or m].
+        colour: colour of the robot.
+        group: name of the robot in legends.
+        layer: layer of the bodies.
+        opacity: opacity of the bodies, in [0, 1].
+    """
     states = np.ascontiguousarray(states, dtype=float)
     rotations, translations = link_poses(problem.robot.kinematics, states)
     T_world_link = np.tile(np.eye(4), (*translations.shape[:2], 1, 1))
     T_world_link[..., :3, :3], T_world_link[..., :3, 3] = rotations, translations
-    found, several = [], len(problem.robot.end_effectors) > 1
+    found = []
+    two_arms = len(problem.robot.end_effectors) > 1
     for part in problem.robot.links:
         poses = T_world_link[:, part.link] @ part.T_link_geometry
-        mesh, aside = hull_mesh(part.vertices), several and part.link == 0
-        found.append(Body(group, layer, part.name, mesh, colour, poses, opacity, aside=aside))
+        torso = two_arms and part.link == 0
+        mesh = hull_mesh(part.vertices)
+        found.append(Body(group, layer, part.name, mesh, colour, poses, opacity, torso=torso))
     for item in problem.attachments:
         poses = problem.robot.poses(states, item.end_effector) @ item.T_hand_object
         name = item.name.replace("_", " ") if group in ("robot", "start") else group
-        found.append(Body(name, layer, item.name, shape_mesh(item.shape), LOAD, poses, opacity))
+        mesh = shape_mesh(item.shape)
+        found.append(Body(name, layer, item.name, mesh, BODY_COLOURS["load"], poses, opacity))
     return found
 
 
-def seen_of_problem(
+def drawing_of_problem(
     problem: PlanningProblem,
     path: JointPath | None,
     carried: Sequence[Attachment] = (),
     most_states: int | None = None,
     ghosts: int = 4,
     goals: int = 1,
-    hidden: Sequence[str] = HIDDEN,
+    hidden: Sequence[str] = HIDDEN_OBJECTS,
     plots: bool = False,
     verdict: str = "",
     lines: Sequence[str] = (),
-) -> Seen:
-    """What is shown of a problem, with or without a path.
+) -> Drawing:
+    """Drawing of a problem, with or without a path.
 
     Args:
-        problem: what is shown.
-        path: that is shown; None: only start and goals.
-        carried: objects shown in the hand if the problem has no attachments.
-        most_states: a path of more states is resampled evenly; None: it is shown as it is.
-        ghosts: number of translucent robots shown between start and goal.
-        goals: number of goals shown at most if there is no path.
-        hidden: objects of the scene that are not shown.
+        problem: the problem.
+        path: a path of the problem; None: only start and goals are drawn.
+        carried: objects drawn in the hand if the problem has no attachments.
+        most_states: a path of more states is resampled to equal distances; None: it is kept.
+        ghosts: number of translucent robots between start and goal.
+        goals: largest number of goals drawn if there is no path.
+        hidden: names of scene objects that are not drawn.
         plots: whether there are plots along the path.
         verdict: last part of the title, e.g. "not solved".
-        lines: of text, below the drawing of a web page.
+        lines: text below the drawing on a web page.
     """
     loaded = replace(problem, attachments=problem.attachments or tuple(carried))
     states = problem.start[None] if path is None else path.states
     if path is not None and most_states is not None and len(states) > most_states:
         states = path.spaced(path.length / (most_states - 1))
     travelled = travelled_along(states)
-    return Seen(
+    return Drawing(
         f"{problem.name}: {problem.robot.name}, {verdict}",
         scene_bodies(problem.scene, hidden),
         ground_height(problem.scene),
         robot_bodies(loaded, states),
         list(_over(loaded, None if path is None else states, ghosts, goals)),
-        [f"state {k} of {len(states) - 1}, {way:.2f} rad" for k, way in enumerate(travelled)],
+        [f"state {k} of {len(states) - 1}, {s:.2f} rad" for k, s in enumerate(travelled)],
         plots=plots_along(problem, states) if plots and path is not None else (),
         lines=lines,
     )
@@ -219,47 +239,61 @@ def seen_of_problem(
 def _over(
     problem: PlanningProblem, path: np.ndarray | None, ghosts: int, goals: int
 ) -> Iterator[Body]:
-    """Start, goals, ghosts, the hand's trace, constraint and axes; path: its states (m, n)."""
+    """Start, goals, ghosts, the hand's trace, constraint and axes.
+
+    path: states (m, n) of the path, or None.
+    """
     states = problem.start[None] if path is None else path
     names = problem.robot.end_effectors
-    # what bodies of each hand are called; those of one hand as ever
+    # poses of each hand, by the prefix of its bodies' names; a single hand has the prefix ""
     hands = {
         f"{name}/" if len(names) > 1 else "": problem.robot.poses(states, name) for name in names
     }
-    yield from robot_bodies(problem, problem.start[None], ROBOT, "start", "start", 0.35)
+    colours = BODY_COLOURS
+    start = problem.start[None]
+    yield from robot_bodies(problem, start, colours["robot"], "start", "start", 0.35)
     opacity = 0.5 if path is None else 0.55
     for k, goal in enumerate(problem.goals[:goals] if path is None else states[-1:]):
-        yield from robot_bodies(problem, goal[None], GOAL, "goal", f"goals/{k}", opacity)
+        yield from robot_bodies(problem, goal[None], colours["goal"], "goal", f"goals/{k}", opacity)
     if path is not None:
         travelled = travelled_along(path)
         for k in range(1, ghosts + 1):
-            q = path[np.searchsorted(travelled, travelled[-1] * k / (ghosts + 1))]
-            yield from robot_bodies(problem, q[None], GHOST, "on the way", f"way/{k}", 0.25)
-        for whose, T_world_hand in hands.items():
-            trace = beads(T_world_hand[:, :3, 3])
-            yield Body("path of the hand", "path", f"{whose}hand", trace, TRACE, behind=0.45)
+            q = path[np.searchsorted(travelled, travelled[-1] * k / (ghosts + 1))][None]
+            yield from robot_bodies(problem, q, colours["ghost"], "on the way", f"way/{k}", 0.25)
+        for prefix, T_world_hand in hands.items():
+            trace, name = beads(T_world_hand[:, :3, 3]), f"{prefix}hand"
+            yield Body("path of the hand", "path", name, trace, colours["trace"], behind=0.45)
     for k, mark in enumerate(constraint_marks(problem, states)):
-        layer = f"constraint/{k}"
-        yield Body("constraint", layer, "mark", mark, CONSTRAINT, opacity=0.3, behind=0.12)
+        layer, colour = f"constraint/{k}", colours["constraint"]
+        yield Body("constraint", layer, "mark", mark, colour, opacity=0.3, behind=0.12)
     marks = axes_marks(problem.robot.reach)
-    for (name, colour, mesh), (whose, T_world_hand) in product(marks, hands.items()):
-        yield Body("axes of the hand", "hand", whose + name, mesh, colour, T_world_hand)
+    for (name, colour, mesh), (prefix, T_world_hand) in product(marks, hands.items()):
+        yield Body("axes of the hand", "hand", prefix + name, mesh, colour, T_world_hand)
         for T in T_world_hand[[0, -1]]:
             yield Body("axes", "axes", name, mesh, colour, T[None], behind=0.5)
 
 
-def seen_of_solution(
+def drawing_of_solution(
     solution: Solution | TaskSolution,
     carried: Sequence[Attachment] = (),
     most_states: int | None = None,
     plots: bool = False,
     goals: int = 1,
-    hidden: Sequence[str] = HIDDEN,
-) -> Seen:
-    """What is shown of a solution, or of a task; see `seen_of_problem`."""
+    hidden: Sequence[str] = HIDDEN_OBJECTS,
+) -> Drawing:
+    """Drawing of a solution of a problem or task.
+
+    Args:
+        solution: solved or not.
+        carried: objects drawn in the hand if the problem has no attachments.
+        most_states: a path of more states is resampled to equal distances; None: it is kept.
+        plots: whether there are plots along the path or task.
+        goals: largest number of goals drawn if there is no path.
+        hidden: names of scene objects that are not drawn.
+    """
     if isinstance(solution, TaskSolution):
-        return seen_of_task(solution, hidden=hidden, plots=plots)
-    return seen_of_problem(
+        return drawing_of_task(solution, hidden=hidden, plots=plots)
+    return drawing_of_problem(
         solution.problem,
         solution.path,
         carried,
@@ -273,39 +307,48 @@ def seen_of_solution(
 
 
 class Frame(NamedTuple):
-    """A moment of a task: time [s], name of the phase, state of the world, clearance."""
+    """State of a task at one time."""
 
-    time: float
-    phase: str
+    time: float  # [s]
+    phase: str  # name of the phase
     world: World
-    clearance: float = math.nan  # [m], nan where nothing is planned
+    clearance: float = math.nan  # [m]; nan in hand phases, or if it was not computed
 
 
-def seen_of_task(
+def drawing_of_task(
     solution: TaskSolution,
     most: int | None = None,
-    hidden: Sequence[str] = HIDDEN,
+    hidden: Sequence[str] = HIDDEN_OBJECTS,
     plots: bool = False,
-) -> Seen:
-    """What is shown of a task up to the phase that failed; InvalidInputError where nothing is."""
+) -> Drawing:
+    """Drawing of a task up to the phase that failed.
+
+    Args:
+        solution: solved or not.
+        most: largest number of frames, chosen evenly; None: all.
+        hidden: names of scene objects that are not drawn.
+        plots: whether there are plots over the task.
+
+    Raises InvalidInputError if the first phase failed, so that there is nothing to draw.
+    """
     task, found = solution.task, frames(solution, clearance=plots)
     if not found:
         raise InvalidInputError(f"nothing to show of task {task.name}: {solution.failure}")
     verdict = "solved and certified" if solution.solved else solution.failure
     title, lines = f"task {task.name}: {verdict}", repr(solution).splitlines()
-    return seen_of_frames(title, task.scene, found, lines, most, hidden, plots)
+    return drawing_of_frames(title, task.scene, found, lines, most, hidden, plots)
 
 
 def frames(
     solution: TaskSolution, period: float = 0.1, pause: float = 0.5, clearance: bool = False
 ) -> list[Frame]:
-    """Moments of a task in order, up to its end or the phase that failed.
+    """Frames of a task in order, up to its end or the phase that failed.
 
     Args:
-        solution: of the task.
-        period: time between two moments of a motion [s].
+        solution: the task's solution.
+        period: largest time between two frames of a motion [s].
         pause: time for opening or closing the fingers [s].
-        clearance: whether that of moments in motion is computed.
+        clearance: whether the clearance during motions is computed.
     """
     world, time, found = World.before(solution.task), 0.0, []
     for phase, outcome in solution.steps:
@@ -326,69 +369,75 @@ def frames(
     return found
 
 
-def shown(world: World) -> PlanningProblem:
-    """A problem that shows a world: the arm, and in the scene also a door that the arm holds."""
+def problem_of(world: World) -> PlanningProblem:
+    """Problem for drawing a task's state: the arm, its load, and the scene with all doors."""
     carried = (world.held.attachment,) if isinstance(world.held, Load) else ()
     return PlanningProblem(
         "shown", world.arm, world.scene, world.q, world.q[None], attachments=carried
     )
 
 
-def seen_of_frames(
+def drawing_of_frames(
     title: str,
     scene: Scene,
-    moments: Sequence[Frame],
+    frames: Sequence[Frame],
     lines: Sequence[str] = (),
     most: int | None = None,
-    hidden: Sequence[str] = HIDDEN,
+    hidden: Sequence[str] = HIDDEN_OBJECTS,
     plots: bool = False,
-) -> Seen:
-    """What is shown of moments, of at most `most` of them, without `hidden` objects.
+) -> Drawing:
+    """Drawing of the frames of a task or execution.
 
-    scene: at the beginning.
-    lines: of text, below the drawing of a web page.
+    Args:
+        title: title of the drawing.
+        scene: the scene at the beginning.
+        frames: states in order of time.
+        lines: text below the drawing on a web page.
+        most: largest number of frames, chosen evenly; None: all.
+        hidden: names of scene objects that are not drawn.
+        plots: whether there are plots over the frames, and the trace of the hand.
     """
-    if most is not None and most < len(moments):
-        moments = [moments[k] for k in np.linspace(0, len(moments) - 1, most).astype(int)]
+    if most is not None and most < len(frames):
+        frames = [frames[k] for k in np.linspace(0, len(frames) - 1, most).astype(int)]
     arms, placed = [], []
-    for moment in moments:
-        world, held = moment.world, moment.world.held
-        there = {item.name: item.T_world_object for item in world.scene}
+    for frame in frames:
+        world, held = frame.world, frame.world.held
+        pose_of = {item.name: item.T_world_object for item in world.scene}
         if isinstance(held, Load):
-            there[held.item.name] = world.arm.pose(world.q) @ held.attachment.T_hand_object
-        placed.append(there)
-        arms.append(robot_bodies(replace(shown(world), attachments=()), world.q[None]))
+            pose_of[held.item.name] = world.arm.pose(world.q) @ held.attachment.T_hand_object
+        placed.append(pose_of)
+        arms.append(robot_bodies(replace(problem_of(world), attachments=()), world.q[None]))
     moving = [
         replace(pieces[0], poses=np.concatenate([piece.poses for piece in pieces]))
         for pieces in zip(*arms, strict=True)
     ]
-    poses = {name: np.array([there[name] for there in placed]) for name in scene.names}
+    poses = {name: np.array([pose_of[name] for pose_of in placed]) for name in scene.names}
     moved = {name: Ts for name, Ts in poses.items() if (Ts != Ts[0]).any()}
     moving += [
         Body("moved", "moving", name, shape_mesh(scene[name].shape), colour_of(name), Ts)
         for name, Ts in moved.items()
     ]
-    motion = [(moment.world.arm, moment.world.q, moment.clearance) for moment in moments]
+    motion = [(frame.world.arm, frame.world.q, frame.clearance) for frame in frames]
     hand = beads(np.array([arm.pose(q)[:3, 3] for arm, q, _ in motion]))
-    trace = Body("path of the hand", "path", "hand", hand, TRACE, behind=0.45)
-    return Seen(
+    trace = Body("path of the hand", "path", "hand", hand, BODY_COLOURS["trace"], behind=0.45)
+    return Drawing(
         title,
         scene_bodies(scene.without(*moved), hidden),
         ground_height(scene),
         moving,
         (trace,) if plots else (),
-        [moment.phase for moment in moments],
-        np.array([moment.time for moment in moments]),
+        [frame.phase for frame in frames],
+        np.array([frame.time for frame in frames]),
         plots_over(motion) if plots else (),
         lines=lines,
     )
 
 
-def whole(bodies: Iterable[Body], state: int = 0) -> Mesh:
+def mesh_of(bodies: Iterable[Body], state: int = 0) -> Mesh:
     """One mesh of several bodies at a state."""
     return joined(body.at(state) for body in bodies)
 
 
-def in_view(bodies: Iterable[Body], state: int = 0) -> Mesh:
-    """`whole`, without bodies that a viewpoint is not chosen for."""
-    return whole((body for body in bodies if not body.aside), state)
+def mesh_in_view(bodies: Iterable[Body], state: int = 0) -> Mesh:
+    """One mesh of several bodies at a state, without the torso: viewpoints are chosen for it."""
+    return mesh_of((body for body in bodies if not body.torso), state)

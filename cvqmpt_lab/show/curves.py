@@ -1,4 +1,4 @@
-"""Plots along a path or task: the constraint with its bounds, clearance, joints."""
+"""Plots along a path or task: constraint with bounds, clearance, joints."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -17,33 +17,34 @@ from cvqmpt_lab.robot.robot import Robot
 class Plot:
     """Curves over the states of a path."""
 
-    name: str  # of its entity, without spaces
+    name: str  # name of its entity in recordings, without spaces
     title: str  # with the unit
-    curves: Mapping[str, np.ndarray]  # (m,), one value for each state, by names in the legend
-    bounds: Mapping[str, float]  # that a curve may not cross, by names in the legend
-    width: float = 2.5  # of curves [pixels]; bounds are thin
-    from_zero: bool = False  # of a quantity that is never negative: its axis starts at 0
+    curves: Mapping[str, np.ndarray]  # (m,), one value per state, by name in the legend
+    bounds: Mapping[str, float]  # bounds of the curves, by name in the legend
+    width: float = 2.5  # line width of curves [pixels]; bounds are thinner
+    from_zero: bool = False  # whether the axis starts at 0, for quantities that are never negative
 
     @property
     def lines(self) -> dict[str, np.ndarray]:
-        """Curves and bounds."""
+        """Curves and bounds (m,), by name in the legend."""
         m = len(next(iter(self.curves.values())))
         return {**self.curves, **{name: np.full(m, at) for name, at in self.bounds.items()}}
 
     @property
     def extremes(self) -> tuple[float, float]:
-        """Least and largest value, with 0 if the axis starts there; 0 and 1 without any."""
+        """Smallest and largest finite value, with 0 if the axis starts there; else 0 and 1."""
         values = np.concatenate([*self.lines.values(), [0.0] if self.from_zero else []])
         values = values[np.isfinite(values)]
         return (float(values.min()), float(values.max())) if len(values) else (0.0, 1.0)
 
 
 def plots_along(problem: PlanningProblem, states: np.ndarray) -> list[Plot]:
-    """The plots of a path's states (m, n), clearance last but one, joints last.
+    """Plots of the states (m, n) of a path: tilts, other displacements, clearance and joints.
 
-    For each region with a bound on the tilt or one free rotation, the angle between its axis in w
-    and the hand's, with its limit. For every other bounded entry of every region, the displacement
-    between its bounds. The smallest distance between any two pieces that must not touch.
+    A region with a bound on the tilt, or with one free rotation, has a plot of the angle between
+    its axis in w and the same axis of the hand, with the limit. Every other bounded entry of a
+    region has a plot of the displacement with its bounds. The clearance is the smallest distance of
+    any two bodies that must not touch.
     """
     robot, tilts, found = problem.robot, [], []
     for k, region in enumerate(problem.constraint):
@@ -68,24 +69,25 @@ def plots_along(problem: PlanningProblem, states: np.ndarray) -> list[Plot]:
             found.append(Plot(name, title, {ROWS[row]: x[:, row]}, bounds))
     checker = problem.collision_checker()
     clearance = np.array([checker.clearance(q) for q in states])
-    return [*tilts, *found, *_usual(robot, states, clearance)]
+    return [*tilts, *found, *_clearance_and_joints(robot, states, clearance)]
 
 
 def plots_over(moments: Sequence[tuple[Robot, np.ndarray, float]]) -> list[Plot]:
-    """The plots of a task's moments: the hand's way, clearance, joints.
+    """Plots over the frames of a task: position of the hand, clearance, joints.
 
     Args:
-        moments: the arm, its joints (n,) [rad or m], and its clearance [m], nan where unknown.
+        moments: for each frame the arm, its joints (n,) [rad or m] and its clearance [m] or nan.
     """
     arm = moments[0][0]
-    states, clearance = np.array([q for _, q, _ in moments]), np.array([c for *_, c in moments])
+    states = np.array([q for _, q, _ in moments])
+    clearance = np.array([distance for _, _, distance in moments])
     hand = np.array([robot.pose(q)[:3, 3] for robot, q, _ in moments])
     path = Plot("path", "path of the hand [m]", dict(zip("xyz", hand.T, strict=True)), {})
-    return [path, *_usual(arm, states, clearance)]
+    return [path, *_clearance_and_joints(arm, states, clearance)]
 
 
-def _usual(robot: Robot, states: np.ndarray, clearance: np.ndarray) -> list[Plot]:
-    """Plots of clearances (m,) [m] and states (m, n)."""
+def _clearance_and_joints(robot: Robot, states: np.ndarray, clearance: np.ndarray) -> list[Plot]:
+    """Plots of clearances (m,) [m] and of states (m, n)."""
     joints = dict(zip(robot.joint_names, states.T, strict=True))
     curve, contact = {"clearance": 1e3 * clearance}, {"contact": 0.0}
     return [
@@ -95,7 +97,7 @@ def _usual(robot: Robot, states: np.ndarray, clearance: np.ndarray) -> list[Plot
 
 
 def _tilt_limit(region: TaskSpaceRegion, rows: set[int]) -> dict[str, float]:
-    """The tilt [deg] that a region allows, by its name in the legend; none where it allows any."""
+    """Largest tilt [deg] in a region, by its name in the legend; empty if any tilt is allowed."""
     if 6 in rows:
         return {"limit": math.degrees(region.bounds[6, 1])}
     # with a bounded rotation vector (a, b, c): sin(tilt / 2) <= |(a, b)| / 2

@@ -1,7 +1,4 @@
-"""Coloured triangles of hulls, shapes, curves, rods and cones, and marks of what cannot be seen.
-
-Marks are regions of a constraint and frames.
-"""
+"""Triangle meshes of hulls, shapes, curves, rods and cones, of constraint regions and frames."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -29,12 +26,12 @@ Colour = tuple[float, float, float]
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """Triangles, anticlockwise when seen from outside."""
+    """Triangles whose corners are in anticlockwise order when seen from outside."""
 
     corners: np.ndarray  # (f, 3, 3) [m]
-    normals: np.ndarray  # (f, 3, 3), of the surface at each corner
-    colours: np.ndarray  # (f, 3), each channel in [0, 1]
-    piece: np.ndarray  # (f,), number of the piece that a triangle belongs to; pieces have outlines
+    normals: np.ndarray  # (f, 3, 3) of the surface at each corner, length 1
+    colours: np.ndarray  # (f, 3) red, green, blue in [0, 1]
+    piece: np.ndarray  # (f,) index of the piece of each triangle; pieces are drawn with outlines
 
     def placed(self, T: np.ndarray, colour: Colour = (1.0, 1.0, 1.0)) -> "Mesh":
         """The same triangles moved by T (4, 4), in one colour."""
@@ -48,10 +45,10 @@ class Mesh:
 
 
 def joined(meshes: Iterable[Mesh]) -> Mesh:
-    """One mesh of several, each a piece of its own."""
-    no = np.zeros((0, 3, 3))
-    nothing = Mesh(no, no, no[:, 0], np.zeros(0, dtype=int))
-    meshes = [*meshes, nothing]
+    """Join meshes to one mesh, in which each of them is a piece."""
+    none = np.zeros((0, 3, 3))
+    empty = Mesh(none, none, none[:, 0], np.zeros(0, dtype=int))
+    meshes = [*meshes, empty]
     corners, normals, colours = (
         np.concatenate([getattr(mesh, name) for mesh in meshes])
         for name in ("corners", "normals", "colours")
@@ -61,19 +58,20 @@ def joined(meshes: Iterable[Mesh]) -> Mesh:
 
 
 def hull_mesh(vertices: np.ndarray) -> Mesh:
-    """The convex hull of vertices (n, 3)."""
+    """Mesh of the convex hull of vertices (n, 3) [m]."""
     return _hull_mesh(np.ascontiguousarray(vertices, dtype=float).tobytes())
 
 
-@lru_cache(maxsize=512)  # a robot's pieces are asked for in every pose
+@lru_cache(maxsize=512)  # the same pieces of a robot are drawn again and again
 def _hull_mesh(coordinates: bytes, most: int = 300, smooth: float = 0.7) -> Mesh:
-    """Convex hull; of more than `most` corners, only those farthest in as many directions.
+    """Mesh of a convex hull.
 
+    Of more than `most` vertices, only those that are farthest in one of `most` directions are used.
     Facets that meet at less than `smooth` [rad] are shaded as one curved surface.
     """
     vertices = np.frombuffer(coordinates).reshape(-1, 3)
     if len(vertices) > most:
-        # flat pieces need corners all round, too
+        # scaled to equal extents, so that flat pieces keep vertices all around
         even = vertices / np.maximum(np.ptp(vertices, axis=0), 1e-9)
         vertices = vertices[np.unique((even @ _sphere_points(most).T).argmax(axis=0))]
     hull = ConvexHull(vertices)
@@ -89,9 +87,9 @@ def _hull_mesh(coordinates: bytes, most: int = 300, smooth: float = 0.7) -> Mesh
 
 
 def shape_mesh(shape: Shape, most_balls: int = 4000) -> Mesh:
-    """Triangles of a shape in its own frame; spheres and cylinders are faceted.
+    """Mesh of a shape in its own frame; spheres and cylinders have facets.
 
-    A cloud of more than `most_balls` points is thinned and drawn with larger balls.
+    Of a cloud of more than `most_balls` points, every k-th point is drawn, with a larger ball.
     """
     match shape:
         case Cylinder(radius, height):
@@ -110,7 +108,13 @@ def shape_mesh(shape: Shape, most_balls: int = 4000) -> Mesh:
 
 
 def beads(points: np.ndarray, radius: float = 0.008, spacing: float = 0.012) -> Mesh:
-    """Balls of a radius [m] at even distances [m] along a curve given by points (m, 3) [m]."""
+    """Mesh of balls at equal distances along a polyline.
+
+    Args:
+        points: (m, 3) [m].
+        radius: radius of the balls [m].
+        spacing: distance between the balls [m].
+    """
     travelled = travelled_along(points)
     at = np.linspace(0.0, travelled[-1], 1 + int(travelled[-1] / spacing))
     centres = np.stack([np.interp(at, travelled, points[:, axis]) for axis in range(3)], axis=1)
@@ -118,7 +122,7 @@ def beads(points: np.ndarray, radius: float = 0.008, spacing: float = 0.012) -> 
 
 
 def rod(start: np.ndarray, end: np.ndarray, radius: float) -> Mesh:
-    """A cylinder between two points (3,) [m]."""
+    """Mesh of a cylinder between two points (3,) [m], with a radius [m]."""
     z = end - start
     x = unit(np.cross(z, np.eye(3)[np.argmin(np.abs(z))]))
     T = np.eye(4)
@@ -127,7 +131,7 @@ def rod(start: np.ndarray, end: np.ndarray, radius: float) -> Mesh:
 
 
 def cone(apex: np.ndarray, axis: np.ndarray, angle: float) -> Mesh:
-    """A cone from its apex (3,) along an axis (3,) [m], of a half angle [rad]."""
+    """Mesh of a cone with an apex (3,), an axis vector (3,) [m] and a half angle [rad]."""
     x = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
     across = np.tan(max(angle, 0.01)) * np.stack(
         [np.linalg.norm(axis) * unit(x), np.cross(unit(axis), unit(x)) * np.linalg.norm(axis)]
@@ -138,7 +142,7 @@ def cone(apex: np.ndarray, axis: np.ndarray, angle: float) -> Mesh:
 
 
 def travelled_along(points: np.ndarray) -> np.ndarray:
-    """Distance (m,) covered at each of the points (m, d)."""
+    """Length (m,) of a polyline from its start to each of its points (m, d)."""
     return np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))]
 
 
@@ -148,7 +152,7 @@ def unit(vectors: np.ndarray) -> np.ndarray:
 
 
 def _copies(mesh: Mesh, centres: np.ndarray, scales: np.ndarray | None = None) -> Mesh:
-    """A mesh of copies of another, scaled along the axes by (k, 3), moved to centres (k, 3) [m]."""
+    """Mesh of k copies of a mesh, scaled by `scales` (k, 3) and moved to `centres` (k, 3) [m]."""
     scaled = mesh.corners if scales is None else scales[:, None, None] * mesh.corners
     corners = (centres[:, None, None] + scaled).reshape(-1, 3, 3)
     normals = np.tile(mesh.normals, (len(centres), 1, 1))
@@ -156,7 +160,7 @@ def _copies(mesh: Mesh, centres: np.ndarray, scales: np.ndarray | None = None) -
 
 
 def _sphere_points(count: int) -> np.ndarray:
-    """Points (count, 3) spread evenly over the unit sphere (golden spiral)."""
+    """Points (count, 3) on the unit sphere at almost equal distances (golden spiral)."""
     z = 1.0 - (2.0 * np.arange(count) + 1.0) / count
     turn, radius = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(count), np.sqrt(1.0 - z**2)
     return np.stack([radius * np.cos(turn), radius * np.sin(turn), z], axis=1)
@@ -171,35 +175,36 @@ def constraint_marks(
     radius: float = 0.003,
     widest: float = 1.4,
 ) -> Iterator[Mesh]:
-    """Planes, lines, arcs and cones of a problem's regions around a path.
+    """Yield meshes of planes, lines, arcs and cones that show a problem's regions around a path.
 
-    A plane or line shows where the origin of e in w may be. A cone, at both ends of the path,
-    shows where an axis whose tilt is bounded, or with free rotation about itself, may point. An arc
-    shows the path of a region that is attached to a door, over the door's range.
+    A plane or line shows the allowed positions of the origin of e in w. A cone, at both ends of the
+    path, shows the allowed directions of an axis whose tilt is bounded, or about which rotation is
+    free. An arc shows the path of a region that is attached to a door, over the door's range.
 
     Args:
-        problem: with the regions.
-        states: of the path (m, n), m >= 1.
-        margin: by which planes and lines go on beyond the path [robot's reach].
-        length: of cones [robot's reach].
+        problem: the problem with the regions.
+        states: states (m, n) of the path, m >= 1 [rad or m].
+        margin: extension of planes and lines beyond the path, as a share of the robot's reach.
+        length: length of cones, as a share of the robot's reach.
         sheet: thickness of planes [m].
-        radius: of lines [m].
-        widest: half angle at which a cone is no longer drawn [rad].
+        radius: radius of lines [m].
+        widest: half angle from which on a cone is not drawn [rad].
     """
     robot, reach = problem.robot, problem.robot.reach
     for region in problem.constraint:
         if isinstance(region, TaskSpaceRegionChain):
-            # the joint of a door; a region that hangs on the other hand is not drawn
+            # one joint: that of a door; a region attached to the other hand is not drawn
             moved = np.flatnonzero(robot.kinematics.moves[:, region.links(robot)[0][0]])
             if len(moved) == 1:
                 swept = np.repeat(states[:1], 40, axis=0)
                 swept[:, moved] = np.linspace(robot.lower[moved], robot.upper[moved], 40)
                 yield beads((region.reference_poses(robot, swept) @ region.Tw_e)[:, :3, 3])
             continue
-        # w, displaced
+        # w, displaced as the hand is
         T_world_w = robot.poses(states, region.end_effector) @ np.linalg.inv(region.Tw_e)
         rows = set(region.bounded_rows.tolist())
-        fixed, free = ([k for k in range(3) if (k in rows) == bound] for bound in (True, False))
+        fixed = [k for k in range(3) if k in rows]
+        free = [k for k in range(3) if k not in rows]
         if len(free) in (1, 2):
             R, t = region.T0_w[:3, :3], region.T0_w[:3, 3]
             at = T_world_w[:, :3, 3] @ R - R.T @ t
@@ -221,7 +226,13 @@ def constraint_marks(
 def axes_marks(
     reach: float, length: float = 0.08, radius: float = 0.004
 ) -> Iterator[tuple[str, Colour, Mesh]]:
-    """Names, colours and rods of a frame's axes; length and radius are shares of a reach [m]."""
+    """Yield name, colour and mesh of each axis of a frame.
+
+    Args:
+        reach: reach of the robot [m].
+        length: length of the axes, as a share of the reach.
+        radius: radius of the axes, as a share of the reach.
+    """
     colours = (0.85, 0.15, 0.15), (0.15, 0.60, 0.15), (0.15, 0.30, 0.85)  # red, green, blue
     for name, colour, end in zip("xyz", colours, length * reach * np.eye(3), strict=True):
         yield name, colour, rod(np.zeros(3), end, radius * reach)

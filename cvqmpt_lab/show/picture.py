@@ -1,8 +1,8 @@
 """Still pictures of a robot, a scene, a problem, a solution or a task, as PNG; films as gif.
 
-The solid part (scene, robot at the start) has outlines and shadows; ghosts of the robot along the
+The solid part (scene, robot at the start) has outlines and shadows. Ghosts of the robot along the
 path and at the goal, the hand's trace, the constraint and the hand's axes are blended over it. A
-legend or caption stands below.
+legend or caption is below.
 """
 
 import io
@@ -24,68 +24,68 @@ from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Attachment, Scene
 from cvqmpt_lab.search.result import JointPath
 from cvqmpt_lab.show.bodies import (
-    HIDDEN,
+    HIDDEN_OBJECTS,
     Body,
-    Seen,
+    Drawing,
+    drawing_of_problem,
+    drawing_of_solution,
+    drawing_of_task,
     frames,
     ground_height,
-    in_view,
+    mesh_in_view,
+    mesh_of,
+    problem_of,
     robot_bodies,
     scene_bodies,
-    seen_of_problem,
-    seen_of_solution,
-    seen_of_task,
-    shown,
-    whole,
 )
 from cvqmpt_lab.show.meshes import Colour, Mesh, joined, shape_mesh
-from cvqmpt_lab.show.raster import Layer, Stage, Viewpoint, clear_viewpoint, framed
+from cvqmpt_lab.show.raster import Layer, Renderer, Viewpoint, clear_viewpoint, framed
 from cvqmpt_lab.tasks.solve import TaskSolution
 from cvqmpt_lab.tasks.task import PlannedPhase, Task
 from cvqmpt_lab.tasks.world import World
 
 Label = tuple[str, Colour | None]  # a text, and the colour of its swatch, if it has one
-DRAWN = (Robot, Scene, PlanningProblem, Solution, Task, TaskSolution)
+DRAWN_TYPES = (Robot, Scene, PlanningProblem, Solution, Task, TaskSolution)
 
 
-@one_thread()  # BLAS threads wait for each other on small products
+@one_thread()  # small matrix products are faster with one BLAS thread
 def draw(
     what: object, path: Path | str | None = None, size: tuple[int, int] = (900, 600)
 ) -> Image.Image:
-    """Draw a robot, scene, problem, solution, task or solved task; notebooks show the image.
+    """Draw a robot, scene, problem, solution, task or task solution; notebooks show the image.
 
     Args:
-        what: one of these.
-        path: of a PNG that is written, too.
-        size: width and height [pixels]; a picture of a phase of a solved task has half of both.
+        what: the value to draw.
+        path: PNG file to write; None: no file is written.
+        size: width and height [pixels]; for a task solution, twice those of one phase's picture.
 
-    Raises UnknownChoiceError for anything else, InvalidInputError for a scene without objects.
+    Raises UnknownChoiceError for a value of another type, InvalidInputError for a scene without
+    objects.
     """
     match what:
         case Robot():
-            # its joints as near to 0 as their limits let them
-            rest = np.clip(0.0, what.lower, what.upper)
+            rest = np.clip(0.0, what.lower, what.upper)  # all joints as close to 0 as possible
             alone = PlanningProblem(what.name, what, Scene("nothing", ()), rest, rest[None])
             bodies = robot_bodies(alone, rest[None])
-            torso = whole(body for body in bodies if body.aside)
-            viewpoint = clear_viewpoint([in_view(bodies)], whole(()), size, [torso], torso)
+            torso = mesh_of(body for body in bodies if body.torso)
+            viewpoint = clear_viewpoint([mesh_in_view(bodies)], mesh_of(()), size, [torso], torso)
             image = still_image(alone, rest, size, viewpoint)
         case Scene():
-            scene = whole(scene_bodies(what))
+            scene = mesh_of(scene_bodies(what))
             if not len(scene.corners):
                 raise InvalidInputError(f"scene {what.name!r} has no object to draw")
             viewpoint = framed(scene.corners.reshape(-1, 3), size)
-            image = Stage(whole(()), ground_height(what), viewpoint, size).image(scene)
+            image = Renderer(mesh_of(()), ground_height(what), viewpoint, size).image(scene)
         case PlanningProblem():
             image = problem_image(what, None, size)
         case Solution():
             image = problem_image(what.problem, what.path, size)
         case Task():
-            image = problem_image(shown(World.before(what)), None, size)
+            image = problem_image(problem_of(World.before(what)), None, size)
         case TaskSolution():
             image = task_image(what, (size[0] // 2, size[1] // 2))[0]
         case _:
-            names = [kind.__name__ for kind in DRAWN]
+            names = [kind.__name__ for kind in DRAWN_TYPES]
             raise UnknownChoiceError("draw:", type(what).__name__, names)
     if path is not None:
         write_png(Path(path), image)
@@ -93,7 +93,7 @@ def draw(
 
 
 def png_of(what: object) -> bytes | None:
-    """The PNG of something in a notebook, or None if there is nothing to see."""
+    """PNG of a value in a notebook; None for an empty scene."""
     if isinstance(what, Scene) and not what.objects:
         return None
     written = io.BytesIO()
@@ -102,7 +102,7 @@ def png_of(what: object) -> bytes | None:
 
 
 def html_of(what: object) -> str:
-    """The text of something above its picture, as html."""
+    """Html of a value in a notebook: its text above its picture."""
     png = png_of(what)
     picture = f'<img src="data:image/png;base64,{b64encode(png).decode()}">' if png else ""
     return f"<pre>{escape(repr(what))}</pre>{picture}"
@@ -122,10 +122,10 @@ def draw_solution(
 
     Args:
         solution: solved or not.
-        path: of the file.
+        path: the file to write.
         size: width and height, legend included [pixels].
-        ghosts: number of poses shown between start and goal.
-        carried: the load in the hand if the problem does not model it.
+        ghosts: number of ghosts between start and goal.
+        carried: objects drawn in the hand if the problem has no attachments.
     """
     image = problem_image(solution.problem, solution.path, size, ghosts, carried)
     write_png(Path(path), image)
@@ -139,35 +139,52 @@ def problem_image(
     ghosts: int = 4,
     carried: Sequence[Attachment] = (),
 ) -> np.ndarray:
-    """What `draw_solution` writes, (height, width, 3), 8 bit."""
+    """Image (height, width, 3), 8 bit, of a problem and its path, with a legend.
+
+    Args:
+        problem: the problem.
+        path: a path of the problem, or None.
+        size: width and height, legend included [pixels].
+        ghosts: number of ghosts between start and goal.
+        carried: objects drawn in the hand if the problem has no attachments.
+    """
     if min(size) < 1:
         raise InvalidInputError(f"picture size {size} must be at least 1 x 1 pixels")
-    seen = seen_of_problem(problem, path, carried, ghosts=ghosts)
-    start, *over = seen.layers("start", "goals", "way", "path", "constraint", "axes").values()
+    drawing = drawing_of_problem(problem, path, carried, ghosts=ghosts)
+    start, *over = drawing.layers("start", "goals", "way", "path", "constraint", "axes").values()
     named = (body for bodies in (start, *over) for body in bodies if body.group != "axes")
     legend = strip(legend_of(named, () if path is not None else ("no path found",)), size[0])
-    # pictures too small for their legend have none
+    # small pictures have no legend
     if len(legend) >= 0.2 * size[1]:
         legend = legend[:0]
     size = (size[0], size[1] - len(legend))
-    moving = list(seen.layers("goals", "way", "path").values())
-    parts = [in_view(bodies) for bodies in (start, *moving[:1], *moving[-1:])]
-    stage = clear_stage(seen, parts, size, map(in_view, over))
-    return np.concatenate([stage.image(whole(start), layers_on(stage, over)), legend])
+    moving = list(drawing.layers("goals", "way", "path").values())
+    parts = [mesh_in_view(bodies) for bodies in (start, *moving[:1], *moving[-1:])]
+    renderer = renderer_of(drawing, parts, size, map(mesh_in_view, over))
+    return np.concatenate([renderer.image(mesh_of(start), layers_of(renderer, over)), legend])
 
 
-def layers_on(stage: Stage, layers: Sequence[Sequence[Body]]) -> list[Layer]:
-    """Translucent bodies as they are seen from the stage's viewpoint."""
-    return [stage.layer(whole(bodies), bodies[0].opacity, bodies[0].behind) for bodies in layers]
+def layers_of(renderer: Renderer, layers: Sequence[Sequence[Body]]) -> list[Layer]:
+    """Render layers of translucent bodies from the viewpoint of the renderer."""
+    return [
+        renderer.layer(mesh_of(bodies), bodies[0].opacity, bodies[0].behind) for bodies in layers
+    ]
 
 
-def clear_stage(
-    seen: Seen, parts: Sequence[Mesh], size: tuple[int, int], inside: Iterable[Mesh] = ()
-) -> Stage:
-    """The scene, from a viewpoint that shows most of a motion's parts; see `clear_viewpoint`."""
-    still, torso = whole(seen.scene), whole(body for body in seen.moving if body.aside)
+def renderer_of(
+    drawing: Drawing, parts: Sequence[Mesh], size: tuple[int, int], inside: Iterable[Mesh] = ()
+) -> Renderer:
+    """Renderer with the scene of a drawing, and a viewpoint from which the motion is well visible.
+
+    Args:
+        drawing: the drawing.
+        parts: parts of the motion that should be visible.
+        size: width and height [pixels].
+        inside: meshes that must be within the picture, even where the scene hides them.
+    """
+    still, torso = mesh_of(drawing.scene), mesh_of(body for body in drawing.moving if body.torso)
     viewpoint = clear_viewpoint(parts, still, size, [*inside], torso)
-    return Stage(still, seen.ground, viewpoint, size)
+    return Renderer(still, drawing.ground, viewpoint, size)
 
 
 def still_image(
@@ -175,36 +192,46 @@ def still_image(
     q: np.ndarray,
     size: tuple[int, int],
     viewpoint: Viewpoint,
-    hidden: Sequence[str] = HIDDEN,
+    hidden: Sequence[str] = HIDDEN_OBJECTS,
 ) -> np.ndarray:
-    """Colours (height, width, 3), 8 bit, of the scene without `hidden` and the robot at q (n,).
+    """Image (height, width, 3), 8 bit, of the scene and the robot at q.
 
-    `Viewpoint.screen` gives the pixel of a point.
+    `Viewpoint.screen` computes the pixel of a point.
+
+    Args:
+        problem: the problem with scene and robot.
+        q: configuration (n,) [rad or m].
+        size: width and height [pixels].
+        viewpoint: the camera.
+        hidden: names of scene objects that are not drawn.
     """
-    scene = whole(scene_bodies(problem.scene, hidden))
-    stage = Stage(scene, ground_height(problem.scene), viewpoint, size)
-    return stage.image(whole(robot_bodies(problem, q[None])))
+    scene = mesh_of(scene_bodies(problem.scene, hidden))
+    renderer = Renderer(scene, ground_height(problem.scene), viewpoint, size)
+    return renderer.image(mesh_of(robot_bodies(problem, q[None])))
 
 
 @one_thread()
 def task_image(
     solution: TaskSolution, size: tuple[int, int], columns: int = 3, gap: int = 6
 ) -> tuple[np.ndarray, list[str]]:
-    """8-bit pictures of the start and the end of each planned phase in a grid, and their names.
+    """Pictures of the start and of the end of each planned phase, in a grid.
 
     Args:
-        solution: of the task.
+        solution: the task's solution.
         size: width and height of one picture, without the name below it [pixels].
-        columns: of pictures.
-        gap: between pictures [pixels].
+        columns: number of pictures in a row.
+        gap: distance between pictures [pixels].
+
+    Returns:
+        Image (height, width, 3), 8 bit, and the names of the pictures.
     """
     phases = (phase for phase in solution.task.phases if isinstance(phase, PlannedPhase))
     planned = {"start", *(phase.name for phase in phases)}
     worlds = {"start": World.before(solution.task)}
     worlds |= {moment.phase: moment.world for moment in frames(solution)}
-    chosen = {name: shown(world) for name, world in worlds.items() if name in planned}
-    arms = [whole(robot_bodies(problem, problem.start[None])) for problem in chosen.values()]
-    scene = whole(scene_bodies(list(chosen.values())[-1].scene))
+    chosen = {name: problem_of(world) for name, world in worlds.items() if name in planned}
+    arms = [mesh_of(robot_bodies(problem, problem.start[None])) for problem in chosen.values()]
+    scene = mesh_of(scene_bodies(list(chosen.values())[-1].scene))
     before = {item.name: item.T_world_object for item in solution.task.scene}
     moved = [
         shape_mesh(item.shape).placed(item.T_world_object)
@@ -227,7 +254,7 @@ def task_image(
 
 
 def legend_of(bodies: Iterable[Body], texts: Sequence[str] = ()) -> list[Label]:
-    """A label for each group of bodies and for texts without a colour; what is carried last."""
+    """Labels for the groups of bodies and for texts without a colour; carried objects are last."""
     colours: dict[str, Colour | None] = dict.fromkeys(texts)
     for body in bodies:
         colours.setdefault(body.group, body.colour)
@@ -237,14 +264,14 @@ def legend_of(bodies: Iterable[Body], texts: Sequence[str] = ()) -> list[Label]:
 
 
 def strip(labels: Sequence[Label], width: int, letters_across: int = 62) -> np.ndarray:
-    """Image (height, width, 3), 8 bit, of labels in lines, as high as they need.
+    """Image (height, width, 3), 8 bit, of labels in as many lines as they need.
 
-    letters_across: letters per line; the font has at least 11 pixels.
+    letters_across: letters per line, which sets the font size; that is at least 11 pixels.
     """
     ink, size = (40, 40, 44), max(11, width // letters_across)
     font = ImageFont.load_default(size)
     gap, swatch, line_height = 1.3 * size, 1.3 * size, 1.9 * size
-    # one line for each label is enough
+    # one line per label is always enough
     image = Image.new("RGB", (width, math.ceil(len(labels) * line_height)), (255, 255, 255))
     canvas = ImageDraw.Draw(image)
     left, line = gap / 2, 0
@@ -264,52 +291,53 @@ def strip(labels: Sequence[Label], width: int, letters_across: int = 62) -> np.n
 
 
 def write_png(path: Path, image: np.ndarray) -> None:
-    """Write 8-bit colours (rows, columns, 3)."""
+    """Write an 8-bit image (height, width, 3)."""
     with replacing(path) as temporary:
         Image.fromarray(image).save(temporary, format="PNG", optimize=True)
 
 
 @one_thread()
 def film_solution(
-    solution: Solution | TaskSolution | Seen,
+    solution: Solution | TaskSolution | Drawing,
     path: Path,
     size: tuple[int, int] = (600, 400),
     carried: Sequence[Attachment] = (),
     progress: Callable[[int, int], None] = lambda done, total: None,
     pictures: int | None = None,
 ) -> None:
-    """Write a film of the robot on its path (without a path, of the start), or of a task.
+    """Write a film of a path, of the start if there is no path, or of a task.
 
     Args:
-        solution: what is shown; of something else that takes time, what `seen_of_frames` returns.
-        path: of the gif.
+        solution: a solution of a problem or task, or the drawing of an execution.
+        path: the gif file to write.
         size: width and height, without the legend or the name of the phase below [pixels].
-        carried: load in the hand if the problem does not model it.
-        progress: called with the numbers of pictures drawn and of all.
-        pictures: of the film, about; default: 49 of a path, 110 at most of a task.
+        carried: objects drawn in the hand if the problem has no attachments.
+        progress: called with the number of finished pictures and the number of all.
+        pictures: approximate number of pictures; None: 49 for a path, at most 110 for a task.
     """
     if isinstance(solution, TaskSolution):
-        solution = seen_of_task(solution, pictures or 110)
-    if isinstance(solution, Seen):
-        seen = solution
-        arm = [body for body in seen.moving if body.group == "robot"]
-        captions = {name: strip([(name, None)], size[0], 24) for name in set(seen.labels)}
+        solution = drawing_of_task(solution, pictures or 110)
+    if isinstance(solution, Drawing):
+        drawing = solution
+        arm = [body for body in drawing.moving if body.group == "robot"]
+        captions = {name: strip([(name, None)], size[0], 24) for name in set(drawing.labels)}
     else:
-        seen = seen_of_solution(solution, carried, pictures or 49)
-        arm = list(seen.moving)
-        shown = seen.layers("goals", "path").values()
-        bodies = [*arm, *(layer[0] for layer in shown)]
-        captions = dict.fromkeys(seen.labels, strip(legend_of(bodies), size[0], 42))
-    count = len(seen.labels)
-    # the viewpoint is chosen for some eight of its states
+        drawing = drawing_of_solution(solution, carried, pictures or 49)
+        arm = list(drawing.moving)
+        layers = drawing.layers("goals", "path").values()
+        bodies = [*arm, *(layer[0] for layer in layers)]
+        captions = dict.fromkeys(drawing.labels, strip(legend_of(bodies), size[0], 42))
+    count = len(drawing.labels)
+    # the viewpoint is chosen for about eight of the states
     some = range(0, count, max(1, count // 8))
-    views, over = [in_view(arm, k) for k in some], list(seen.layers("goals", "path").values())
-    inside = [*(in_view(seen.moving, k) for k in some), *map(in_view, over)]
-    stage = clear_stage(seen, [joined(views)], size, inside)
-    layers = layers_on(stage, over)
+    views = [mesh_in_view(arm, k) for k in some]
+    over = list(drawing.layers("goals", "path").values())
+    inside = [*(mesh_in_view(drawing.moving, k) for k in some), *map(mesh_in_view, over)]
+    renderer = renderer_of(drawing, [joined(views)], size, inside)
+    rendered = layers_of(renderer, over)
     images = []
-    for k, label in enumerate(seen.labels):
-        image = stage.image(whole(seen.moving, k), layers)
+    for k, label in enumerate(drawing.labels):
+        image = renderer.image(mesh_of(drawing.moving, k), rendered)
         images.append(np.concatenate([image, captions[label]]))
         progress(len(images), count)
     save_film(images, path)
@@ -323,15 +351,15 @@ def save_film(
     colours: int = 128,
     chosen: int = 6,
 ) -> None:
-    """Write pictures one after another as a gif.
+    """Write pictures as a gif.
 
     Args:
-        frames: (height, width, 3) each, 8 bit.
-        path: of the file.
-        rate: of pictures [1/s].
-        rest: pictures for which the last one is shown.
+        frames: images (height, width, 3), 8 bit.
+        path: the file to write.
+        rate: pictures per second.
+        rest: number of times that the last picture is repeated.
         colours: number of colours of the gif.
-        chosen: about how many pictures the colours are chosen from.
+        chosen: approximate number of pictures from which the colours are chosen.
     """
     require_choice(f"kind of film {path.name}: suffix", path.suffix, (".gif",))
     frames = [*frames, *[frames[-1]] * rest]

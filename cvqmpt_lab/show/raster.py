@@ -1,4 +1,4 @@
-"""Pictures of triangles without a display: viewpoints, z-buffer, light, shadow and outlines."""
+"""Rendering of triangles without a display: viewpoints, z-buffer, light, shadow and outlines."""
 
 import math
 from collections.abc import Sequence
@@ -13,30 +13,30 @@ from cvqmpt_lab.show.meshes import Colour, Mesh, joined, unit
 
 @dataclass(frozen=True)
 class Viewpoint:
-    """A viewpoint: a pinhole camera, z up."""
+    """A pinhole camera whose picture has the z-axis upwards."""
 
     eye: tuple[float, float, float] = (-1.7, -2.0, 1.75)  # [m]
-    target: tuple[float, float, float] = (0.4, -0.1, 0.5)  # in the middle of the picture [m]
-    height_angle: float = 0.64  # angle of view from the bottom to the top of the picture [rad]
-    near: float = 0.05  # triangles closer to the eye than this are left out [m]
+    target: tuple[float, float, float] = (0.4, -0.1, 0.5)  # point in the picture's centre [m]
+    height_angle: float = 0.64  # vertical angle of view [rad]
+    near: float = 0.05  # triangles closer to the eye are not drawn [m]
 
     @property
     def axes(self) -> np.ndarray:
-        """Directions right, down, forward: rows (3, 3)."""
+        """Unit vectors right, down and forward, the rows of (3, 3)."""
         forward = unit(np.subtract(self.target, self.eye))
         right = unit(np.cross(forward, (0.0, 0.0, 1.0)))
         return np.array([right, np.cross(forward, right), forward])
 
     @property
     def sun(self) -> np.ndarray:
-        """Direction (3,) towards the sun: behind the viewer, 0.14 rad to the left of the eye."""
+        """Unit vector (3,) towards the sun, which is behind the viewer and 0.14 rad to the left."""
         away = np.subtract(self.eye, self.target)
         azimuth, elevation = np.arctan2(away[1], away[0]) - 0.14, 0.722
         across = np.cos(elevation)
         return np.array([across * np.cos(azimuth), across * np.sin(azimuth), np.sin(elevation)])
 
     def screen(self, points: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-        """Points (..., 3) [m] as (column, row [pixels], depth [m]) of a picture."""
+        """Column and row [pixels] and depth [m], (..., 3), of points (..., 3) [m] in a picture."""
         right, down, depth = np.moveaxis((points - self.eye) @ self.axes.T, -1, 0)
         scale = 0.5 * shape[0] / np.tan(0.5 * self.height_angle) / np.maximum(depth, self.near)
         return np.stack(
@@ -44,7 +44,7 @@ class Viewpoint:
         )
 
     def rays(self, rows: np.ndarray, columns: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-        """Directions (k, 3) through pixels; a point at depth d is eye + d * ray."""
+        """Rays (k, 3) through pixels (k,); the point at depth d [m] is eye + d * ray."""
         scale = 2.0 * np.tan(0.5 * self.height_angle) / shape[0]
         right, down = scale * (columns - 0.5 * shape[1]), scale * (rows - 0.5 * shape[0])
         return np.stack([right, down, np.ones(len(rows))], axis=1) @ self.axes
@@ -52,16 +52,23 @@ class Viewpoint:
     def light(
         self, normals: np.ndarray, sky: float = 0.58, steep: float = 0.1, sun: float = 0.46
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Light at normals n (k, 3): `sky + steep n_z`, and the sun's `sun max(n . s, 0)`."""
+        """Brightness of surfaces: `sky + steep n_z`, and `sun max(n . s, 0)` where the sun shines.
+
+        Args:
+            normals: unit normals n (k, 3).
+            sky: brightness of a vertical surface without sun.
+            steep: additional brightness of a horizontal surface.
+            sun: brightness that the sun adds to a surface that faces it; s is its direction.
+        """
         return sky + steep * normals[:, 2], sun * np.maximum(normals @ self.sun, 0.0)
 
 
-class View(NamedTuple):
-    """The k pixels of a picture in which a surface is seen."""
+class Fragments(NamedTuple):
+    """The k pixels of a picture in which a surface is visible."""
 
     row: np.ndarray  # (k,)
     column: np.ndarray  # (k,)
-    depth: np.ndarray  # (k,) [m] along the picture's axis
+    depth: np.ndarray  # (k,) along the camera's axis [m]
     points: np.ndarray  # (k, 3) [m]
     normals: np.ndarray  # (k, 3), length 1
     colours: np.ndarray  # (k, 3)
@@ -69,23 +76,23 @@ class View(NamedTuple):
 
     @property
     def at(self) -> tuple[np.ndarray, np.ndarray]:
-        """Indices of its pixels in a picture."""
+        """Indices of the pixels in a picture."""
         return self.row, self.column
 
-    def nearer_than(self, depth: np.ndarray) -> "View":
-        """The pixels that are nearer than a depth (rows, columns) [m]."""
+    def nearer_than(self, depth: np.ndarray) -> "Fragments":
+        """The fragments that are nearer than a depth buffer (rows, columns) [m]."""
         nearer = self.depth < depth[self.at]
-        return View(*(part[nearer] for part in self))
+        return Fragments(*(part[nearer] for part in self))
 
 
-def rasterise(mesh: Mesh, viewpoint: Viewpoint, shape: tuple[int, int]) -> View:
-    """The pixels of a picture (rows, columns) in which a mesh is seen."""
+def rasterise(mesh: Mesh, viewpoint: Viewpoint, shape: tuple[int, int]) -> Fragments:
+    """Visible fragments of a mesh in a picture of shape (rows, columns)."""
     screen = viewpoint.screen(mesh.corners, shape)
     nearness = 1.0 / np.maximum(screen[..., 2], viewpoint.near)  # linear on the screen
     # barycentric coordinates of a pixel: weights[:, k] @ (x, y, 1)
-    (x1, x2), (y1, y2) = (
-        [np.roll(screen[..., axis], -s, axis=1) for s in (1, 2)] for axis in (0, 1)
-    )
+    first, second = np.roll(screen, -1, axis=1), np.roll(screen, -2, axis=1)  # next corners
+    x1, y1 = first[..., 0], first[..., 1]
+    x2, y2 = second[..., 0], second[..., 1]
     weights = np.stack([y1 - y2, x2 - x1, x1 * y2 - x2 * y1], axis=-1)
     area = weights[..., 2].sum(axis=1)
     weights /= np.where(np.abs(area) > 1e-9, area, np.inf)[:, None, None]
@@ -104,7 +111,7 @@ def rasterise(mesh: Mesh, viewpoint: Viewpoint, shape: tuple[int, int]) -> View:
     depth = 1.0 / nearest[row, column]
     points = viewpoint.eye + depth[:, None] * viewpoint.rays(row, column, shape)
     colours, piece = mesh.colours[seen], mesh.piece[seen]
-    return View(row, column, depth, points, unit(normals), colours, piece)
+    return Fragments(row, column, depth, points, unit(normals), colours, piece)
 
 
 @entry
@@ -117,12 +124,12 @@ def _fill(
     low: Annotated[np.ndarray, "int64 f 2"],
     high: Annotated[np.ndarray, "int64 f 2"],
 ):
-    """Write the nearest triangle of each pixel; of equally near ones the first stays.
+    """Write the index of the nearest triangle of each pixel; of equally near ones the first.
 
-    face, nearest: number and nearness [1/m] of the triangle seen, changed.
-    drawn: numbers of the triangles that are drawn.
-    planes, weights: nearness and corner weights of a pixel (x, y, 1) on each triangle.
-    low, high: first pixel (x, y) of each and the one after its last.
+    face, nearest: index and inverse depth [1/m] of the visible triangle; modified.
+    drawn: indices of the triangles to draw.
+    planes, weights: coefficients of inverse depth and corner weights over a pixel's (x, y, 1).
+    low, high: first pixel (x, y) of each triangle, and the pixel after its last.
     """
     for f in drawn:
         for y in range(low[f, 1], high[f, 1]):
@@ -137,26 +144,26 @@ def _fill(
 
 
 class Shadow:
-    """The shadow of a mesh, as a shadow map."""
+    """Shadow map of a mesh."""
 
     def __init__(
         self, mesh: Mesh, sun: np.ndarray, side: int, distance: float = 40.0, bias: float = 0.025
     ) -> None:
-        """Draw the map.
+        """Render the shadow map.
 
         Args:
-            mesh: what casts the shadow.
-            sun: direction (3,) towards it.
-            side: of the map [pixels].
-            distance: of the viewpoint whose picture is the map [m].
-            bias: a surface shadows only what lies this far behind it [m].
+            mesh: the mesh that casts the shadow.
+            sun: unit vector (3,) towards the sun.
+            side: width and height of the map [pixels].
+            distance: distance of the map's camera from the mesh [m].
+            bias: smallest distance of a shadowed point behind the surface that shadows it [m].
         """
         corners = mesh.corners if len(mesh.corners) else np.zeros((1, 3, 3))
         low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
         self._middle = middle = 0.5 * (low + high)
-        # what lies farther from the middle than 2.6 m casts no shadow
-        self._reach = float(np.clip(0.5 * np.linalg.norm(high - low), 1e-3, 2.6))
-        angle = 2.0 * float(np.arctan(self._reach / distance))
+        # parts farther than 2.6 m from the middle cast no shadow
+        self._radius = float(np.clip(0.5 * np.linalg.norm(high - low), 1e-3, 2.6))
+        angle = 2.0 * float(np.arctan(self._radius / distance))
         self._from_sun = Viewpoint(tuple(middle + distance * sun), tuple(middle), angle)
         view = rasterise(mesh, self._from_sun, (side, side))
         self._blocked = np.full((side, side), np.inf)
@@ -166,29 +173,27 @@ class Shadow:
         """Share (k,) of the sunlight that reaches points (k, 3) [m]."""
         shape, share = self._blocked.shape, np.ones(len(points))
         across = np.abs((points - self._middle) @ self._from_sun.axes[:2].T)
-        near = np.flatnonzero((across < 1.2 * self._reach).all(axis=1))
+        near = np.flatnonzero((across < 1.2 * self._radius).all(axis=1))
         column, row, depth = self._from_sun.screen(points[near], shape).T
         total = np.zeros(len(near))
-        for i, j in np.ndindex(3, 3):
-            at = tuple(
-                np.clip((a + b - 0.5).astype(int), 0, shape[0] - 1)
-                for a, b in ((row, i), (column, j))
-            )
-            total += depth < self._blocked[at]
+        for i, j in np.ndindex(3, 3):  # the mean over 3 x 3 pixels softens the edges
+            rows = np.clip((row + i - 0.5).astype(int), 0, shape[0] - 1)
+            columns = np.clip((column + j - 0.5).astype(int), 0, shape[0] - 1)
+            total += depth < self._blocked[rows, columns]
         share[near] = total / 9.0
         return share
 
 
 class Layer(NamedTuple):
-    """A translucent surface, with its lit colours."""
+    """A translucent surface with its shaded colours."""
 
-    view: View
+    view: Fragments
     opacity: float
-    behind: float  # opacity where something solid is in front of it
+    behind: float  # opacity where a solid surface is in front of it
 
 
-class Stage:
-    """A still scene, seen from one viewpoint: drawn once, with its light and shadow."""
+class Renderer:
+    """Renders pictures of a static scene from one viewpoint; the scene is rendered only once."""
 
     def __init__(
         self,
@@ -198,14 +203,14 @@ class Stage:
         size: tuple[int, int],
         samples: int = 2,
     ) -> None:
-        """Draw the scene.
+        """Render the scene.
 
         Args:
-            still: the scene.
-            ground: height of a floor [m], or None.
-            viewpoint: from where it is seen.
+            still: the static scene.
+            ground: height of a floor [m]; None: no floor.
+            viewpoint: the camera.
             size: width and height of pictures [pixels].
-            samples: a pixel of a picture is the mean of samples x samples.
+            samples: a pixel of a picture is the mean of samples x samples subpixels.
         """
         self.viewpoint, self._samples = viewpoint, samples
         self._shape = shape = (samples * size[1], samples * size[0])
@@ -213,7 +218,7 @@ class Stage:
         self._shadow = Shadow(still, viewpoint.sun, self._side)
         self._depth, self._piece = np.full(shape, np.inf), np.full(shape, -1)
         self._points = np.zeros((*shape, 3), np.float32)
-        # colours where the sun does not shine, and what the sun adds
+        # colours without sun, and the colours that the sun adds
         self._shade = np.ones((*shape, 3), np.float32)
         self._sunny = np.zeros((*shape, 3), np.float32)
         view = rasterise(still, viewpoint, shape)
@@ -223,16 +228,25 @@ class Stage:
             self._lay_ground(ground)
 
     def layer(self, mesh: Mesh, opacity: float, behind: float = 0.0) -> Layer:
-        """A translucent mesh as it is seen from the stage's viewpoint."""
+        """Layer of a translucent mesh.
+
+        Args:
+            mesh: the mesh.
+            opacity: opacity in [0, 1].
+            behind: opacity where a solid surface is in front of it.
+        """
         view = rasterise(mesh, self.viewpoint, self._shape)
         return Layer(view._replace(colours=np.add(*self._lit(view))), opacity, behind)
 
     def image(
         self, moving: Mesh, layers: Sequence[Layer] = (), outline: float = 0.55
     ) -> np.ndarray:
-        """Colours (height, width, 3), 8 bit, of scene, moving mesh and layers over both.
+        """Image (height, width, 3), 8 bit, of scene and moving mesh, with layers over both.
 
-        outline: what is left of the light at outlines of pieces.
+        Args:
+            moving: mesh of the moving bodies.
+            layers: translucent layers, blended in this order.
+            outline: factor on the brightness at outlines of pieces.
         """
         shadow = Shadow(moving, self.viewpoint.sun, self._side // 2)
         share = shadow.lit(self._points.reshape(-1, 3)).astype(np.float32)
@@ -245,26 +259,26 @@ class Stage:
         edge[:, 1:] |= piece[:, 1:] != piece[:, :-1]
         edge[1:] |= piece[1:] != piece[:-1]
         image[edge] *= outline
-        depths = [depth]  # of what is solid and of translucent layers
+        depths = [depth]  # of solid surfaces, then of translucent layers
         for layer in layers:
             _blend(image, depths, layer)
         rows, columns = (side // self._samples for side in self._shape)
         blocks = image.reshape(rows, self._samples, columns, self._samples, 3)
         return (255.0 * np.clip(blocks.mean(axis=(1, 3)), 0.0, 1.0) + 0.5).astype(np.uint8)
 
-    def _lit(self, view: View, *shadows: Shadow) -> tuple[np.ndarray, np.ndarray]:
-        """Colours (k, 3) of a surface where the sun does not shine, and what the sun adds."""
+    def _lit(self, view: Fragments, *shadows: Shadow) -> tuple[np.ndarray, np.ndarray]:
+        """Colours (k, 3) of a surface without sun, and the colours that the sun adds."""
         sky, sun = self.viewpoint.light(view.normals)
         sun = np.min([sun, *(sun * shadow.lit(view.points) for shadow in shadows)], axis=0)
         return sky[:, None] * view.colours, sun[:, None] * view.colours
 
-    def _lay(self, view: View) -> None:
-        """Put a still surface at its pixels."""
+    def _lay(self, view: Fragments) -> None:
+        """Store the shaded fragments of a static surface."""
         self._points[view.at] = view.points
         self._shade[view.at], self._sunny[view.at] = self._lit(view, self._shadow)
 
     def _lay_ground(self, height: float, colour: Colour = (0.88, 0.87, 0.85)) -> None:
-        """Put the plane z = height [m] at empty pixels; it fades into white with distance."""
+        """Fill empty pixels with the plane z = height [m], which fades into white with distance."""
         row, column = np.nonzero(self._piece < 0)
         rays = self.viewpoint.rays(row, column, self._shape)
         depth = (height - self.viewpoint.eye[2]) / np.where(rays[:, 2] == 0.0, np.inf, rays[:, 2])
@@ -272,17 +286,23 @@ class Stage:
         away = np.linalg.norm(points - self.viewpoint.target, axis=1)
         share = np.clip(1.6 - 0.4 * away, 0.0, 1.0) * (depth > 0.0)
         upwards, colours = np.tile([0.0, 0.0, 1.0], (len(row), 1)), np.outer(share, colour)
-        self._lay(View(row, column, depth, points, upwards, colours, row))
+        self._lay(Fragments(row, column, depth, points, upwards, colours, row))
         self._shade[row, column] += (1.0 - share)[:, None]
 
 
 def _blend(
     image: np.ndarray, depths: list[np.ndarray], layer: Layer, coincide: float = 0.01
 ) -> None:
-    """Blend a layer over an image; if translucent, not within `coincide` [m] of others.
+    """Blend a layer over an image.
 
-    image: (rows, columns, 3), changed.
-    depths: (rows, columns) [m] of what is solid and of earlier layers; that of the layer is added.
+    A translucent layer is left out where it coincides with a solid surface or an earlier layer.
+
+    Args:
+        image: (rows, columns, 3), modified.
+        depths: depths (rows, columns) [m] of solid surfaces and earlier layers; the depth of a
+            translucent layer is appended.
+        layer: the layer.
+        coincide: depth difference up to which surfaces coincide [m].
     """
     view, at = layer.view, layer.view.at
     in_front = view.depth < depths[0][at] - 1e-3
@@ -306,28 +326,30 @@ def clear_viewpoint(
     gain: float = 0.05,
     rows: int = 64,
 ) -> Viewpoint:
-    """The viewpoint from which a motion fills the picture and most of each part of it is seen.
+    """Choose a viewpoint from which a motion fills the picture and its parts are visible.
 
     Args:
-        parts: of the motion.
-        scene: what may be in front of them.
+        parts: meshes of the parts of the motion.
+        scene: mesh that may hide them.
         size: width and height of the picture [pixels].
-        inside: what the picture holds too, even where the scene hides it.
-        torso: that carries several arms, which are seen from in front of it, if it has any corners.
-        azimuths: from the motion to the eye, in the order in which they are tried [deg].
-        enough: share of the motion in sight at which no other direction is tried.
-        gain: share that another direction must show more to be taken instead.
-        rows: of the small pictures in which directions are compared [pixels].
+        inside: further meshes that must be within the picture, even if they are hidden.
+        torso: mesh of a torso with two arms; if it is not empty, views from its front come first.
+        azimuths: directions from the motion to the eye, in the order of trial [deg].
+        enough: visible share of the motion from which on no other direction is tried.
+        gain: smallest increase of the visible share for which another direction is taken.
+        rows: height of the small pictures in which directions are compared [pixels].
     """
     shape = (rows, round(rows * size[0] / size[1]))
     points = np.concatenate([part.corners.reshape(-1, 3) for part in (*parts, *inside)])
-    ways, elevation, still = list(azimuths), 24.0, [scene]
+    tried, elevation = list(azimuths), 24.0
+    still = [scene]
     if torso is not None and len(torso.corners):
-        ways, elevation, still = [35.0, -35.0, *ways], 35.0, [scene, torso]
+        tried, elevation = [35.0, -35.0, *tried], 35.0
+        still = [scene, torso]
     best, best_share = framed(points, size), -1.0
-    for azimuth in ways:
+    for azimuth in tried:
         viewpoint = framed(points, size, azimuth, elevation)
-        # shares of the parts that are not behind the scene or an earlier part
+        # visible share of each part, in front of the scene and of earlier parts
         depth, shares = np.full(shape, np.inf), []
         for mesh in (joined(still), *parts):
             view = rasterise(mesh, viewpoint, shape)
@@ -349,10 +371,14 @@ def framed(
     elevation: float = 24.0,
     context: float = 1.3,
 ) -> Viewpoint:
-    """The viewpoint whose picture of (width, height) pixels holds points (m, 3) [m].
+    """Viewpoint whose picture contains given points.
 
-    It lies at an azimuth and an elevation [deg] above them, `context` times as far away as the one
-    whose picture they fill.
+    Args:
+        points: (m, 3) [m].
+        size: width and height of the picture [pixels].
+        azimuth: direction from the points to the eye about z [deg].
+        elevation: angle of the eye above the horizontal plane [deg].
+        context: distance of the eye, as a multiple of the distance at which they fill the picture.
     """
     target = 0.5 * (points.min(axis=0) + points.max(axis=0))
     turn, rise = math.radians(azimuth), math.radians(elevation)

@@ -1,9 +1,9 @@
 """Recordings of solutions and tasks for rerun. The only module that imports rerun.
 
-Entities: `world/scene`, `world/robot` and, of a task, `world/moving` (doors, carried objects) and
-`phase`; of a solution `world/start`, `world/goals`, `world/path`, `world/constraint`, `trees` and
-`plots`. Timelines: "path_state" counts states of the path, "vertices" those of the growing trees,
-"task_time" is a task's [s].
+All recordings have the entities `world/scene`, `world/robot` and `plots`. Those of a task also have
+`world/moving` (doors, carried objects) and `phase`; those of a solution have `world/start`,
+`world/goals`, `world/path`, `world/constraint` and `trees`. Timelines: "path_state" is the index of
+a state of the path, "vertices" the number of vertices of a growing tree, "task_time" the time [s].
 """
 
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.base.files import replacing
 from cvqmpt_lab.planning.pipeline import Solution
 from cvqmpt_lab.scene.scene import Attachment
-from cvqmpt_lab.show.bodies import GHOST, GOAL, Body, Seen, seen_of_solution
+from cvqmpt_lab.show.bodies import BODY_COLOURS, Body, Drawing, drawing_of_solution
 from cvqmpt_lab.show.meshes import Colour
 from cvqmpt_lab.show.raster import Viewpoint
 from cvqmpt_lab.tasks.solve import TaskSolution
@@ -30,19 +30,19 @@ def log_solution(
     """Write a solution or a task to a .rrd file.
 
     Args:
-        solution: what is shown.
-        path: of the file.
-        carried: load in the hand if the problem does not model it.
+        solution: a solution of a problem or task.
+        path: the file to write.
+        carried: objects drawn in the hand if the problem has no attachments.
     """
-    seen = seen_of_solution(solution, carried, plots=True, goals=3, hidden=())
+    drawing = drawing_of_solution(solution, carried, plots=True, goals=3, hidden=())
     package = __name__.partition(".")[0]
     recording = rr.RecordingStream(package)
     recording.set_log_time_enabled(False)
     recording.set_log_tick_enabled(False)
     try:
         with replacing(path) as temporary:
-            recording.save(temporary, default_blueprint=_blueprint(seen))
-            _log_seen(recording, seen)
+            recording.save(temporary, default_blueprint=_blueprint(drawing))
+            _log_drawing(recording, drawing)
             if isinstance(solution, Solution):
                 _log_search(recording, solution)
             recording.flush()
@@ -54,31 +54,30 @@ def log_solution(
         ) from error
 
 
-def _blueprint(seen: Seen) -> rrb.Blueprint:
-    """The world and the trees on the left, the plots on the right, timelines below."""
+def _blueprint(drawing: Drawing) -> rrb.Blueprint:
+    """Layout: the world and the trees on the left, the plots on the right, timelines below."""
     usual = Viewpoint()
     eye = rrb.EyeControls3D(position=usual.eye, look_target=usual.target, eye_up=(0.0, 0.0, 1.0))
-    timeline = "path_state" if seen.times is None else "task_time"
+    timeline = "path_state" if drawing.times is None else "task_time"
     views = [
         rrb.Spatial3DView(
             origin="/", contents="world/**", name=f"motion (timeline {timeline})", eye_controls=eye
         )
     ]
-    if seen.times is None:
+    if drawing.times is None:
         still = ["world/scene/**", "world/start/**", "world/goals/**", "trees/**"]
         name = "trees (timeline vertices)"
         views.append(rrb.Spatial3DView(origin="/", contents=still, name=name, eye_controls=eye))
     plots = []
-    for plot in seen.plots:
+    for plot in drawing.plots:
         low, high = plot.extremes
         height = max(high - low, 1e-3)
-        # room for the legend above the curves
-        room = low - 0.05 * height, high + 0.45 * height
+        span = low - 0.05 * height, high + 0.45 * height  # the legend is above the curves
         plots.append(
             rrb.TimeSeriesView(
                 origin=f"plots/{plot.name}",
                 name=plot.title,
-                axis_y=rrb.ScalarAxis(range=room),
+                axis_y=rrb.ScalarAxis(range=span),
                 plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.RightTop),
             )
         )
@@ -90,32 +89,32 @@ def _blueprint(seen: Seen) -> rrb.Blueprint:
     )
 
 
-def _log_seen(recording: rr.RecordingStream, seen: Seen) -> None:
+def _log_drawing(recording: rr.RecordingStream, drawing: Drawing) -> None:
     """Log bodies, phases of a task, and plots."""
-    if seen.times is None:
-        time = rr.TimeColumn("path_state", sequence=np.arange(len(seen.labels)))
+    if drawing.times is None:
+        time = rr.TimeColumn("path_state", sequence=np.arange(len(drawing.labels)))
     else:
-        time = rr.TimeColumn("task_time", duration=seen.times)
+        time = rr.TimeColumn("task_time", duration=drawing.times)
     recording.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-    for body in seen.bodies("start", "goals", "path", "constraint", "hand"):
+    for body in drawing.bodies("start", "goals", "path", "constraint", "hand"):
         _log_body(recording, body, time)
-    for k, name in enumerate(seen.labels):
-        if seen.times is not None and (k == 0 or name != seen.labels[k - 1]):
-            recording.set_time("task_time", duration=seen.times[k])
+    for k, name in enumerate(drawing.labels):
+        if drawing.times is not None and (k == 0 or name != drawing.labels[k - 1]):
+            recording.set_time("task_time", duration=drawing.times[k])
             recording.log("phase", rr.TextLog(name))
     recording.reset_time()
-    for plot in seen.plots:
+    for plot in drawing.plots:
         for name, values in plot.lines.items():
             entity = f"plots/{plot.name}/{name.replace(' ', '_')}"
-            look: dict[str, Any] = {"widths": plot.width}
+            style: dict[str, Any] = {"widths": plot.width}
             if name in plot.bounds:
-                look = {"widths": 1.0, "colors": [204, 51, 51, 255]}
-            recording.log(entity, rr.SeriesLines(names=name, **look), static=True)
+                style = {"widths": 1.0, "colors": [204, 51, 51, 255]}
+            recording.log(entity, rr.SeriesLines(names=name, **style), static=True)
             recording.send_columns(entity, [time], rr.Scalars.columns(scalars=values))
 
 
 def _log_body(recording: rr.RecordingStream, body: Body, time: rr.TimeColumn) -> None:
-    """A body below `world/<its layer>`; "a/b" becomes entity b below a."""
+    """Log a body as an entity below `world/<its layer>`; "a/b" becomes entity b below a."""
     entity = rr.new_entity_path(["world", *body.layer.split("/"), *body.name.split("/")])
     mesh = rr.Mesh3D(
         vertex_positions=body.mesh.corners.reshape(-1, 3),
@@ -133,10 +132,11 @@ def _log_body(recording: rr.RecordingStream, body: Body, time: rr.TimeColumn) ->
 
 
 def _log_search(recording: rr.RecordingStream, solution: Solution, steps: int = 60) -> None:
-    """The hand's path before shortening, and the trees in steps as they grow."""
+    """Log the hand's path before shortening, and the growing trees in a number of steps."""
     robot = solution.problem.robot
     for k, tree in enumerate(solution.plan.trees):
-        hand, colour = robot.poses(tree.nodes)[:, :3, 3], _rgba((GHOST, GOAL)[k % 2])
+        hand = robot.poses(tree.nodes)[:, :3, 3]
+        colour = _rgba(BODY_COLOURS["ghost" if k % 2 == 0 else "goal"])
         for step, added in enumerate(np.array_split(np.arange(len(hand)), min(steps, len(hand)))):
             child = added[tree.parent[added] >= 0]
             edges = np.stack([hand[child], hand[tree.parent[child]]], axis=1)
@@ -153,4 +153,5 @@ def _log_search(recording: rr.RecordingStream, solution: Solution, steps: int = 
 
 
 def _rgba(colour: Colour, opacity: float = 1.0) -> list[int]:
+    """Red, green, blue and opacity from 0 to 255."""
     return [round(255 * part) for part in (*colour, opacity)]

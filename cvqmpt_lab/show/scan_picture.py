@@ -1,4 +1,4 @@
-"""A picture of a scan: raw points, those that filters removed, cameras, obstacles made of it."""
+"""Picture of a scan: kept and removed raw points, cameras, and the obstacles made of the scan."""
 
 from pathlib import Path
 
@@ -10,10 +10,10 @@ from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.scene.shapes import PointCloud
 from cvqmpt_lab.sensing.scan import Arm, Scan
-from cvqmpt_lab.show.bodies import Body, robot_bodies, scene_bodies, whole
+from cvqmpt_lab.show.bodies import Body, mesh_of, robot_bodies, scene_bodies
 from cvqmpt_lab.show.meshes import axes_marks, hull_mesh, shape_mesh
 from cvqmpt_lab.show.picture import legend_of, strip, write_png
-from cvqmpt_lab.show.raster import Stage, framed
+from cvqmpt_lab.show.raster import Renderer, framed
 
 
 @one_thread()
@@ -29,10 +29,10 @@ def draw_scan(
 
     Args:
         made: the scan.
-        scene: the obstacles made of it.
+        scene: the obstacles made of the scan.
         voxel: edge of the voxels in which its points were averaged [m].
-        path: of the file.
-        arm: the robot to draw, if any.
+        path: the file to write.
+        arm: the robot to draw; None: none is drawn.
         size: width and height, legend included [pixels].
     """
     solid = scan_bodies(made, voxel)
@@ -40,32 +40,32 @@ def draw_scan(
         alone = PlanningProblem("scan", arm.robot, scene, start=arm.q, goals=arm.q[None])
         solid += robot_bodies(alone, arm.q[None])
     obstacles = scene_bodies(scene, ())
-    named = [Body("obstacles", *("scene",) * 2, body.mesh, body.colour) for body in obstacles[:1]]
+    named = [Body("obstacles", "scene", "scene", body.mesh, body.colour) for body in obstacles[:1]]
     legend = strip(legend_of([*solid, *named]), size[0])
     size = (size[0], size[1] - len(legend))
-    viewpoint = framed(whole([*solid, *obstacles]).corners.reshape(-1, 3), size)
-    stage = Stage(whole(()), None, viewpoint, size)
-    layers = [stage.layer(whole(obstacles), 0.35)] if obstacles else []
-    write_png(Path(path), np.concatenate([stage.image(whole(solid), layers), legend]))
+    viewpoint = framed(mesh_of([*solid, *obstacles]).corners.reshape(-1, 3), size)
+    renderer = Renderer(mesh_of(()), None, viewpoint, size)
+    layers = [renderer.layer(mesh_of(obstacles), 0.35)] if obstacles else []
+    write_png(Path(path), np.concatenate([renderer.image(mesh_of(solid), layers), legend]))
 
 
 def scan_bodies(made: Scan, voxel: float, radius: float = 0.003) -> list[Body]:
-    """The raw points that were kept and removed, cameras, and the axes of the base frame.
+    """Bodies of the kept and removed raw points, the cameras, and the axes of the base frame.
 
     Args:
         made: the scan.
         voxel: edge of the voxels in which its points were averaged [m].
-        radius: of points [m].
+        radius: radius of the drawn points [m].
     """
     raw = np.concatenate([capture.in_world for capture in made.captures])
-    gone = np.ones(len(raw), dtype=bool)
+    removed = np.ones(len(raw), dtype=bool)
     if len(made.points):
-        # a point lies at most a voxel's diagonal from the mean that stands for it
-        gone = cKDTree(made.points).query(raw)[0] > np.sqrt(3.0) * voxel
+        # the distance of a kept point from the mean of its voxel is at most the voxel's diagonal
+        removed = cKDTree(made.points).query(raw)[0] > np.sqrt(3.0) * voxel
     found = []
     for name, points, colour in (
-        ("raw points, kept", raw[~gone], (0.20, 0.42, 0.80)),
-        ("raw points, removed", raw[gone], (0.90, 0.20, 0.15)),
+        ("raw points, kept", raw[~removed], (0.20, 0.42, 0.80)),
+        ("raw points, removed", raw[removed], (0.90, 0.20, 0.15)),
     ):
         if len(points):
             found.append(Body(name, "scan", name, shape_mesh(PointCloud(points, radius)), colour))
@@ -74,7 +74,7 @@ def scan_bodies(made: Scan, voxel: float, radius: float = 0.003) -> list[Body]:
     found += [
         Body("camera", "scan", "camera", pyramid, (0.55, 0.25, 0.70), capture.T_world_camera[None])
         for capture in made.captures
-        # else no pose is known, points are in the base frame
+        # the identity stands for an unknown pose: the points are in the base frame
         if not np.array_equal(capture.T_world_camera, np.eye(4))
     ]
     axes = (

@@ -1,6 +1,6 @@
-"""One html file that shows a solution or a task in 3-D, with a time slider and plots.
+"""Html page that shows a solution or a task in 3-D, with a time slider and plots.
 
-The file contains its own viewer (WebGL, `plan_page.html`) and needs no network.
+It is one file that contains its own viewer (WebGL, `plan_page.html`) and needs no network.
 """
 
 import json
@@ -17,14 +17,20 @@ from cvqmpt_lab.planning.pipeline import Solution
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.scene.scene import Attachment
 from cvqmpt_lab.search.result import JointPath
-from cvqmpt_lab.show.bodies import Seen, in_view, seen_of_problem, seen_of_solution, whole
+from cvqmpt_lab.show.bodies import (
+    Drawing,
+    drawing_of_problem,
+    drawing_of_solution,
+    mesh_in_view,
+    mesh_of,
+)
 from cvqmpt_lab.show.curves import Plot
 from cvqmpt_lab.show.raster import clear_viewpoint
 from cvqmpt_lab.tasks.solve import TaskSolution
 
-TEMPLATE = Path(__file__).with_name("plan_page.html")
-# the element of the template that receives the data in place of {}
-PLACE = '<script type="application/json" id="data">{}</script>'
+PAGE_TEMPLATE = Path(__file__).with_name("plan_page.html")
+# element of the template; {} is replaced by the data
+PAGE_DATA_ELEMENT = '<script type="application/json" id="data">{}</script>'
 
 
 def save_page(
@@ -36,12 +42,12 @@ def save_page(
     """Write a solution or a task as one html file; a task is shown up to the phase that failed.
 
     Args:
-        solution: what is shown.
-        path: of the file.
-        carried: objects shown in the hand if the problem has no attachments.
-        most_states: a path of more states is resampled evenly to this number.
+        solution: a solution of a problem or task.
+        path: the file to write.
+        carried: objects drawn in the hand if the problem has no attachments.
+        most_states: a path of more states is resampled to equal distances.
     """
-    write_text(path, _html(seen_of_solution(solution, carried, most_states, plots=True)))
+    write_text(path, _html(drawing_of_solution(solution, carried, most_states, plots=True)))
 
 
 def path_html(
@@ -51,17 +57,17 @@ def path_html(
     carried: Sequence[Attachment] = (),
     most_states: int = 400,
 ) -> str:
-    """Text of an html file like that of `save_page`, for a valid path.
+    """Text of an html page, as `save_page` writes it, for a valid path.
 
     Args:
-        problem: what the path solves.
-        states: (m, n) [rad or m], of the path.
+        problem: the problem that the path solves.
+        states: states (m, n) of the path [rad or m].
         verdict: last part of the title, e.g. "certified path of birrt".
-        carried: objects shown in the hand if the problem has no attachments.
-        most_states: a path of more states is resampled evenly to this number.
+        carried: objects drawn in the hand if the problem has no attachments.
+        most_states: a path of more states is resampled to equal distances.
     """
     return _html(
-        seen_of_problem(
+        drawing_of_problem(
             problem,
             JointPath(states),
             carried,
@@ -73,35 +79,35 @@ def path_html(
     )
 
 
-def _html(seen: Seen, size: tuple[int, int] = (1100, 600)) -> str:
-    """Text of the html file.
+def _html(drawing: Drawing, size: tuple[int, int] = (1100, 600)) -> str:
+    """Text of the html page.
 
     Args:
-        seen: what is shown.
-        size: width and height [pixels] for which the first viewpoint is chosen.
+        drawing: the drawing.
+        size: width and height [pixels] for which the initial viewpoint is chosen.
     """
-    # the first view shows the robot at the start of a task, or at both ends of a path
-    ends = (0,) if seen.times is not None else (0, len(seen.labels) - 1)
-    robot = [body for body in seen.moving if body.layer == "robot"]
-    views = [in_view(robot, k) for k in ends]
-    # and holds the whole motion, at some ten states
-    count = len(seen.labels)
-    inside = [in_view(seen.moving, k) for k in range(0, count, max(1, count // 10))]
-    torso = whole(body for body in robot if body.aside)
-    viewpoint = clear_viewpoint(views, whole(seen.scene), size, inside, torso)
-    bodies = seen.bodies("goals", "path", "constraint", "hand")
+    # the initial viewpoint shows the robot at the start of a task, or at both ends of a path,
+    ends = (0,) if drawing.times is not None else (0, len(drawing.labels) - 1)
+    robot = [body for body in drawing.moving if body.layer == "robot"]
+    views = [mesh_in_view(robot, k) for k in ends]
+    # and has the whole motion in the picture, checked at about ten states
+    count = len(drawing.labels)
+    inside = [mesh_in_view(drawing.moving, k) for k in range(0, count, max(1, count // 10))]
+    torso = mesh_of(body for body in robot if body.torso)
+    viewpoint = clear_viewpoint(views, mesh_of(drawing.scene), size, inside, torso)
+    bodies = drawing.bodies("goals", "path", "constraint", "hand")
     offset = np.subtract(viewpoint.eye, viewpoint.target)
     distance = float(np.linalg.norm(offset))
-    labels = list(seen.labels)
-    if seen.times is not None:
-        labels = [f"{name}, {t:.1f} s" for name, t in zip(labels, seen.times, strict=True)]
+    labels = list(drawing.labels)
+    if drawing.times is not None:
+        labels = [f"{name}, {t:.1f} s" for name, t in zip(labels, drawing.times, strict=True)]
     data = {
-        "title": seen.title,
-        "lines": list(seen.lines),
+        "title": drawing.title,
+        "lines": list(drawing.lines),
         "states": len(labels),
         "labels": labels,
-        # length of the animation
-        "seconds": 6.0 if seen.times is None else max(float(seen.times[-1]), 1.0),
+        # duration of the animation
+        "seconds": 6.0 if drawing.times is None else max(float(drawing.times[-1]), 1.0),
         "camera": {
             "target": list(map(float, viewpoint.target)),
             "distance": distance,
@@ -115,20 +121,22 @@ def _html(seen: Seen, size: tuple[int, int] = (1100, 600)) -> str:
                 "colour": list(map(float, body.colour)),
                 "opacity": body.opacity,
                 "positions": _base64(body.mesh.corners.astype("<f4")),
-                # whole numbers from -127 to 127
+                # integers from -127 to 127
                 "normals": _base64(np.round(127 * body.mesh.normals).astype(np.int8)),
                 "poses": _base64(body.poses[:, :3].astype("<f4")),
             }
             for body in bodies
         ],
-        "plots": [_plot(plot) for plot in seen.plots],
+        "plots": [_plot(plot) for plot in drawing.plots],
     }
-    # without this, "</script>" in a name would end the script element
+    # "<" is escaped, because "</script>" in a name would end the script element
     text = json.dumps(data, allow_nan=False).replace("<", "\\u003c")
-    return TEMPLATE.read_text(encoding="utf-8").replace(PLACE, PLACE.replace("{}", text))
+    page = PAGE_TEMPLATE.read_text(encoding="utf-8")
+    return page.replace(PAGE_DATA_ELEMENT, PAGE_DATA_ELEMENT.replace("{}", text))
 
 
 def _base64(array: np.ndarray) -> str:
+    """Base64 text of an array's bytes."""
     return b64encode(array.tobytes()).decode()
 
 
@@ -138,7 +146,7 @@ def _plot(
         "#1f6fb4", "#d1662a", "#2e8b57", "#8a4fa3", "#b8336a", "#8c6d1f", "#3aa6a6", "#70757d",
     ),
 ) -> dict[str, Any]:  # fmt: skip
-    """A plot as json data; bounds are red, and numbers that are not finite become null."""
+    """Plot as plain data for json; bounds are red, and numbers that are not finite become null."""
     low, high = plot.extremes
     margin = 0.08 * max(high - low, 1e-3)
     bottom = low if plot.from_zero and low == 0.0 else low - margin

@@ -1,4 +1,4 @@
-"""Displays of problems, robots, scenes and solutions, and what a script finds in the package."""
+"""Text and pictures of problems, robots, scenes and solutions; help texts of the package."""
 
 import inspect
 import io
@@ -14,7 +14,7 @@ from cvqmpt_lab import Scene, draw, region
 from cvqmpt_lab.show import load_ipython_extension
 
 
-def test_all_show_themselves_in_five_lines_and_as_a_picture(problem, solution, unsolved, task):
+def test_all_values_have_a_text_of_at_most_five_lines(problem, solution, unsolved, task):
     for value in (problem, problem.robot, problem.scene, solution, unsolved, task):
         lines = repr(value).splitlines()
         assert 1 < len(lines) <= 5 and max(map(len, lines)) < 200, lines
@@ -34,7 +34,7 @@ def test_notebooks_show_text_above_a_picture(problem):
     assert "image/png" not in shell.display_formatter.format(Scene("empty", ()))[0]
 
 
-def test_draw_takes_all_of_them_and_writes(solution, task_solution, tmp_path):
+def test_draw_takes_values_of_all_types_and_writes(solution, task_solution, tmp_path):
     drawn = draw(solution, tmp_path / "a.png", (90, 60))
     assert drawn.size == Image.open(tmp_path / "a.png").size == (90, 60)
     assert draw(solution.problem, size=(90, 60)).size == (90, 60)

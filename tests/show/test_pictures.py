@@ -1,4 +1,4 @@
-"""Stills, films, recordings and plots: complete, in place, and what the certificate says."""
+"""Pictures, films, recordings and plots: complete, and in agreement with the certificate."""
 
 from dataclasses import replace
 
@@ -19,18 +19,18 @@ from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, OccupancyMap, Poi
 from cvqmpt_lab.search.result import JointPath
 from cvqmpt_lab.show import picture
 from cvqmpt_lab.show.bodies import (
+    drawing_of_problem,
+    drawing_of_task,
     frames,
     ground_height,
+    mesh_of,
     robot_bodies,
     scene_bodies,
-    seen_of_problem,
-    seen_of_task,
-    whole,
 )
 from cvqmpt_lab.show.curves import plots_along
 from cvqmpt_lab.show.meshes import constraint_marks, hull_mesh
 from cvqmpt_lab.show.picture import draw_solution, film_solution, save_film, strip, task_image
-from cvqmpt_lab.show.raster import Stage, Viewpoint
+from cvqmpt_lab.show.raster import Renderer, Viewpoint
 from cvqmpt_lab.show.recording import log_solution
 
 
@@ -58,11 +58,11 @@ def test_fine_hulls_are_drawn_by_few_corners_close_to_the_whole():
 
 
 def test_a_ghost_that_stands_where_the_robot_stands_is_not_seen(problem):
-    still = whole(scene_bodies(problem.scene))
-    stage = Stage(still, ground_height(problem.scene), Viewpoint(), (60, 40))
-    robot = whole(robot_bodies(problem, problem.start[None]))
-    ghost = stage.layer(robot, 0.5)
-    assert np.array_equal(stage.image(robot, [ghost]), stage.image(robot))
+    still = mesh_of(scene_bodies(problem.scene))
+    renderer = Renderer(still, ground_height(problem.scene), Viewpoint(), (60, 40))
+    robot = mesh_of(robot_bodies(problem, problem.start[None]))
+    ghost = renderer.layer(robot, 0.5)
+    assert np.array_equal(renderer.image(robot, [ghost]), renderer.image(robot))
 
 
 @pytest.mark.parametrize(
@@ -92,21 +92,23 @@ def test_the_cone_of_a_tilt_is_as_wide_as_its_bound(problem, region):
 
 
 def test_all_of_a_motion_is_inside_of_the_picture(problem, monkeypatch):
-    """Between two ends that are one, the arm swings a long stick far round."""
+    """Start and goal are equal, and in between the arm swings a long stick far to the side."""
     stick = Attachment("stick", Box((0.05, 0.05, 2.0)), pose((0.0, 0.0, 1.0)))
     carrying, away = replace(problem, attachments=(stick,)), problem.start.copy()
     away[0] += 2.5
     path = JointPath(np.linspace(problem.start, away, 9)[[*range(9), *range(8, -1, -1)]])
-    stages = []
-    monkeypatch.setattr(picture, "Stage", lambda *words: stages.append(words) or Stage(*words))
+    renderers = []
+    monkeypatch.setattr(
+        picture, "Renderer", lambda *words: renderers.append(words) or Renderer(*words)
+    )
     picture.problem_image(carrying, path, (120, 80))
-    _, _, viewpoint, (width, height) = stages[0]
-    corners = whole(seen_of_problem(carrying, path).over).corners
+    _, _, viewpoint, (width, height) = renderers[0]
+    corners = mesh_of(drawing_of_problem(carrying, path).over).corners
     columns, rows, _ = np.moveaxis(viewpoint.screen(corners, (height, width)), -1, 0)
     assert columns.min() > 0 and columns.max() < width and rows.min() > 0 and rows.max() < height
 
 
-def test_what_cannot_be_written_is_refused(unsolved, tmp_path):
+def test_files_that_cannot_be_written_are_refused(unsolved, tmp_path):
     frames = [np.zeros((21, 31, 3), np.uint8)]
     (tmp_path / "folder").mkdir()
     (tmp_path / "file").touch()
@@ -151,7 +153,7 @@ def test_pictures_film_and_recording_of_a_task(task_solution, recorded, tmp_path
     duration = sum(outcome.trajectory.duration for outcome in task_solution.outcomes)
     assert set(moments.values()) == {len(frames(task_solution))}
     assert min(moments.values()) > duration / 0.1
-    assert len(seen_of_task(task_solution, most=8).labels) == 8
+    assert len(drawing_of_task(task_solution, most=8).labels) == 8
 
 
 CORNERS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
@@ -200,7 +202,7 @@ def test_every_shape_and_attachment_is_shown(unsolved, recorded, tmp_path):
 
 
 @pytest.mark.parametrize("rows", [("rotation about y", "rotation about z"), ("tilt",)])
-def test_plots_say_what_the_certificate_says(problem, solution, rows):
+def test_plots_agree_with_the_certificate(problem, solution, rows):
     if rows == ("tilt",):
         problem = replace(problem, constraint=(upright(),))
     states = problem.robot.random_configurations(np.random.default_rng(0), 5)

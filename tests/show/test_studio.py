@@ -1,4 +1,4 @@
-"""A studio plans again as start, goal and obstacles move, and its page follows."""
+"""A studio plans again when start, goal or obstacles move, and its page shows the result."""
 
 import json
 import signal
@@ -20,7 +20,7 @@ FAR = pose((9.0, 0.0, 0.5))
 
 @pytest.fixture(scope="module")
 def live(problem):
-    """A warm studio."""
+    """A studio that has already planned once."""
     made = Studio(problem)
     assert made.wait().verdict == "certified"
     yield made
@@ -29,84 +29,84 @@ def live(problem):
 
 @pytest.fixture
 def fresh(live, problem):
-    """The same, with everything back in its place."""
-    live.wait(live.ask(start=None, goal=None, moved={}, constraint="own", planner="roadmap"))
-    assert live.state.verdict == "certified"
+    """The studio with the problem's own start, goals, obstacles and constraint."""
+    live.wait(live.submit(start=None, goal=None, moved={}, constraint="own", planner="roadmap"))
+    assert live.response.verdict == "certified"
     return live
 
 
-def hand(answer, state):
-    """Pose of the hand at a state of an answer's path."""
-    return answer.problem.robot.pose(answer.path.states[state])
+def hand(response, state):
+    """Pose of the hand at a state of an response's path."""
+    return response.problem.robot.pose(response.path.states[state])
 
 
 def lifted(T, height):
-    """A pose, higher by that [m]."""
+    """A pose moved up by a height [m]."""
     return pose((0.0, 0.0, height)) @ T
 
 
 def test_the_certified_path_follows_the_goal(fresh):
-    goal, seconds = hand(fresh.state, -1), []
+    goal, seconds = hand(fresh.response, -1), []
     for k in range(1, 6):
         T = lifted(goal, 0.01 * k)
-        answer = fresh.wait(fresh.move_goal(T))
-        assert answer.verdict == "certified" and answer.message == ""
-        assert certify(answer.problem, answer.path).valid
-        assert hand(answer, -1) == pytest.approx(T, abs=1e-5)
-        assert np.array_equal(answer.path.states[0], fresh.problem.start)
-        seconds.append(answer.seconds)
+        response = fresh.wait(fresh.move_goal(T))
+        assert response.verdict == "certified" and response.message == ""
+        assert certify(response.problem, response.path).valid
+        assert hand(response, -1) == pytest.approx(T, abs=1e-5)
+        assert np.array_equal(response.path.states[0], fresh.problem.start)
+        seconds.append(response.seconds)
     assert min(seconds) < 0.5  # [s]; the others may have waited for a busy machine
 
 
 def test_the_newest_request_wins(fresh):
-    goal, seen = hand(fresh.state, -1), []
-    fresh.on_answer = lambda answer: seen.append(answer.request.number)
+    goal, seen = hand(fresh.response, -1), []
+    fresh.on_response = lambda response: seen.append(response.request.number)
     numbers = [fresh.move_goal(lifted(goal, 0.0005 * k)) for k in range(1, 101)]
-    answer = fresh.wait(numbers[-1])
+    response = fresh.wait(numbers[-1])
     assert numbers == list(range(numbers[0], numbers[0] + 100))
-    assert answer.request.number == numbers[-1] == fresh.request.number
-    assert hand(answer, -1) == pytest.approx(lifted(goal, 0.05), abs=1e-5)
-    fresh.on_answer = lambda answer: None
-    assert seen == sorted(set(seen)) and len(seen) < 50  # those overtaken were not planned
+    assert response.request.number == numbers[-1] == fresh.request.number
+    assert hand(response, -1) == pytest.approx(lifted(goal, 0.05), abs=1e-5)
+    fresh.on_response = lambda response: None
+    assert seen == sorted(set(seen)) and len(seen) < 50  # requests with a newer one are skipped
 
 
 def test_the_start_moves_and_the_path_begins_there(fresh):
     T = lifted(fresh.problem.robot.pose(fresh.problem.start), 0.02)
-    answer = fresh.wait(fresh.move_start(T))
-    assert answer.verdict == "certified" and hand(answer, 0) == pytest.approx(T, abs=1e-5)
-    assert certify(answer.problem, answer.path).valid
+    response = fresh.wait(fresh.move_start(T))
+    assert response.verdict == "certified" and hand(response, 0) == pytest.approx(T, abs=1e-5)
+    assert certify(response.problem, response.path).valid
 
 
 def test_an_obstacle_in_the_start_is_named_and_the_path_stays(fresh):
-    before, (item, *_) = fresh.state, fresh.problem.scene.obstacles
+    before, (item, *_) = fresh.response, fresh.problem.scene.obstacles
     at = fresh.problem.robot.pose(fresh.problem.start)
-    answer = fresh.wait(fresh.move_obstacle(item.name, at))
-    assert answer.verdict == "no path" and answer.path is before.path
-    assert "start is in collision: " in answer.message and item.name in answer.message
-    assert "earlier request" in text_of(answer) and answer.message in text_of(answer)
-    answer = fresh.wait(fresh.move_obstacle(item.name, item.T_world_object))
-    assert answer.verdict == "certified" and "earlier request" not in text_of(answer)
+    response = fresh.wait(fresh.move_obstacle(item.name, at))
+    assert response.verdict == "no path" and response.path is before.path
+    assert "start is in collision: " in response.message and item.name in response.message
+    assert "earlier request" in text_of(response) and response.message in text_of(response)
+    response = fresh.wait(fresh.move_obstacle(item.name, item.T_world_object))
+    assert response.verdict == "certified" and "earlier request" not in text_of(response)
 
 
 @pytest.mark.parametrize("end", ["goal", "start"])
 def test_an_end_that_cannot_be_reached_says_why_and_the_path_stays(fresh, end):
-    before = fresh.state.path
-    answer = fresh.wait(getattr(fresh, f"move_{end}")(FAR))
-    assert answer.path is before
-    assert f"the {end} cannot be there: they lie " in answer.message
+    before = fresh.response.path
+    response = fresh.wait(getattr(fresh, f"move_{end}")(FAR))
+    assert response.path is before
+    assert f"the {end} cannot be there: they lie " in response.message
 
 
 def test_a_goal_in_an_obstacle_says_what_collides(fresh):
-    goal, before = hand(fresh.state, -1), fresh.state.path
+    goal, before = hand(fresh.response, -1), fresh.response.path
     item = fresh.problem.scene.obstacles[0]
     fresh.move_obstacle(item.name, goal)
-    answer = fresh.wait(fresh.move_goal(goal))
-    assert answer.path is before
-    assert "configurations that reach them collide" in answer.message
-    assert item.name in answer.message
+    response = fresh.wait(fresh.move_goal(goal))
+    assert response.path is before
+    assert "configurations that reach them collide" in response.message
+    assert item.name in response.message
 
 
-def test_wrong_poses_and_names_are_refused_and_ask_for_nothing(fresh):
+def test_wrong_poses_and_names_are_refused_and_submit_no_request(fresh):
     number = fresh.request.number
     refused(
         "goal is not a rigid pose: its rotation", fresh.move_goal, np.diag([2.0, 1.0, 1.0, 1.0])
@@ -121,32 +121,32 @@ def test_wrong_poses_and_names_are_refused_and_ask_for_nothing(fresh):
 
 def test_constraint_and_planner_are_chosen(fresh):
     assert "birrt" in fresh.planners and "atlas-rrt" in fresh.planners
-    answer = fresh.wait(fresh.set_constraint("none"))
-    assert answer.verdict == "certified" and answer.problem.constraint == ()
+    response = fresh.wait(fresh.set_constraint("none"))
+    assert response.verdict == "certified" and response.problem.constraint == ()
     fresh.set_constraint("own")
-    answer = fresh.wait(fresh.set_planner("opt-cvq-mpt"))
-    assert answer.verdict == "certified" and answer.planner == "opt-cvq-mpt"
-    layers = [layer for layer, points, _ in answer.drawn if points.shape[1] == 3]
+    response = fresh.wait(fresh.set_planner("opt-cvq-mpt"))
+    assert response.verdict == "certified" and response.planner == "opt-cvq-mpt"
+    layers = [layer for layer, points, _ in response.drawn if points.shape[1] == 3]
     assert layers[-3:] == ["cloud", "Gaussians", "Gaussians"]  # before and after Algorithm 2
 
 
 def test_files_hold_the_path_that_is_shown(fresh, tmp_path):
-    answer = fresh.wait(fresh.move_goal(lifted(hand(fresh.state, -1), 0.02)))
+    response = fresh.wait(fresh.move_goal(lifted(hand(fresh.response, -1), 0.02)))
     for kind in ("problem", "page", "picture", "trajectory"):
         name, content = fresh.saved(kind)
         (tmp_path / name).write_bytes(content)
     again = PlanningProblem.load(tmp_path / "problem.json")
-    assert certify(again, answer.path).valid
+    assert certify(again, response.path).valid
     assert b"certified path of roadmap" in (tmp_path / "plan.html").read_bytes()
     assert (tmp_path / "plan.png").read_bytes().startswith(b"\x89PNG")
     motion = read_motion(tmp_path / "motion.json")
-    assert motion.positions[[0, -1]] == pytest.approx(answer.path.states[[0, -1]])
+    assert motion.positions[[0, -1]] == pytest.approx(response.path.states[[0, -1]])
     refused("unknown file 'film'; valid choices: problem", fresh.saved, "film")
 
 
 @pytest.fixture(scope="module")
 def page(problem):
-    """A page, at any port."""
+    """A page at any free port."""
     pytest.importorskip("viser")
     made = studio(problem, 0)
     made.live.wait()
@@ -155,7 +155,7 @@ def page(problem):
 
 
 def tab(page):
-    """What a browser's tab opens: the connection of the page."""
+    """Connect to the page as a tab of a browser does."""
     import viser
     from websockets.sync.client import connect
     from websockets.typing import Subprotocol
@@ -166,7 +166,7 @@ def tab(page):
 
 
 def received(connection, seconds=1.0):
-    """All bytes that a tab gets within so many seconds."""
+    """All bytes that a tab receives within a number of seconds."""
     found, end = b"", time.monotonic() + seconds
     while time.monotonic() < end:
         try:
@@ -190,19 +190,19 @@ def test_two_tabs_drag_one_goal_and_may_go(page):
     deadline = time.monotonic() + 30.0
     while page.live.request.number < number + 10 and time.monotonic() < deadline:
         time.sleep(0.01)
-    answer = page.live.wait()
-    assert answer.verdict == "certified"
-    assert hand(answer, -1)[:3, 3] == pytest.approx([x, y, z + 0.02], abs=1e-5)
-    assert len(received(second)) > 1e3  # it sees the path that the other asked for
+    response = page.live.wait()
+    assert response.verdict == "certified"
+    assert hand(response, -1)[:3, 3] == pytest.approx([x, y, z + 0.02], abs=1e-5)
+    assert len(received(second)) > 1e3  # the second tab receives the path of the first
     first.close()
     second.close()
-    assert page.live.wait(page.live.ask()).verdict == "certified"
+    assert page.live.wait(page.live.submit()).verdict == "certified"
 
 
 def shown(page):
-    """Wait until the page has drawn an answer: it is drawn before the next one is planned."""
-    page.live.wait(page.live.ask())
-    page.live.wait(page.live.ask())
+    """Wait until the page has drawn a response, which it does before the next one is planned."""
+    page.live.wait(page.live.submit())
+    page.live.wait(page.live.submit())
 
 
 def test_the_page_shows_layers_and_plays_along_the_path(page):

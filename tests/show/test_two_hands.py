@@ -38,12 +38,14 @@ def test_a_recording_and_a_page_have_a_trace_and_axes_of_each_hand(carried, reco
 
 
 def test_a_picture_shows_both_hands_from_in_front_of_the_torso(carried, monkeypatch):
-    stages = []
-    made = picture.clear_stage
-    monkeypatch.setattr(picture, "clear_stage", lambda *a: stages.append(made(*a)) or stages[-1])
+    renderers = []
+    made = picture.renderer_of
+    monkeypatch.setattr(
+        picture, "renderer_of", lambda *a: renderers.append(made(*a)) or renderers[-1]
+    )
     size = (300, 200)
     picture.problem_image(carried.problem, carried.path, size)
-    viewpoint, robot = stages[0].viewpoint, carried.problem.robot
+    viewpoint, robot = renderers[0].viewpoint, carried.problem.robot
     assert viewpoint.eye[0] > viewpoint.target[0]
     for hand in robot.end_effectors:
         ends = robot.poses(carried.path.states, hand)[:, :3, 3]
@@ -57,10 +59,10 @@ def test_in_the_studio_hands_keep_hold_of_what_they_carry(carried):
         assert live.wait().verdict == "certified"
         chain = carried.problem.constraint[0]
         assert all(chain in regions for regions in live.constraints.values())
-        T = carried.problem.robot.pose(live.state.path.states[-1])
+        T = carried.problem.robot.pose(live.response.path.states[-1])
         T[2, 3] += 0.01
-        answer = live.wait(live.move_goal(T))
-        assert answer.verdict == "certified" and answer.message == ""
+        response = live.wait(live.move_goal(T))
+        assert response.verdict == "certified" and response.message == ""
     finally:
         live.stop()
 

@@ -1,4 +1,4 @@
-"""A page has the whole motion and its plots, loads nothing, and a browser shows it."""
+"""A web page has the whole motion and its plots, loads nothing, and a browser displays it."""
 
 import json
 import shutil
@@ -21,10 +21,10 @@ NODE = shutil.which("node")
 
 
 def data_of(path):
-    before, after = web_page.TEMPLATE.read_text().split(web_page.PLACE)
+    before, after = web_page.PAGE_TEMPLATE.read_text().split(web_page.PAGE_DATA_ELEMENT)
     text = path.read_text()
     assert text.startswith(before) and text.endswith(after) and "://" not in before + after
-    data = text[len(before) : -len(after)].removeprefix(web_page.PLACE[:-11])
+    data = text[len(before) : -len(after)].removeprefix(web_page.PAGE_DATA_ELEMENT[:-11])
     return json.loads(data.removesuffix("</script>"))
 
 
@@ -58,7 +58,7 @@ def test_a_page_holds_the_motion_and_its_plots(solution, tmp_path):
     assert max(plots["tilt of the hand [deg]"]["curves"][0]["values"]) < np.degrees(0.1415)
 
 
-def test_a_page_of_a_task_has_the_hands_way_clearance_and_joints(task_solution, tmp_path):
+def test_a_page_of_a_task_has_path_of_the_hand_clearance_and_joints(task_solution, tmp_path):
     save_page(task_solution, tmp_path / "task.html")
     data = data_of(tmp_path / "task.html")
     assert "path of the hand" in {body["group"] for body in data["bodies"]}
