@@ -10,8 +10,8 @@ author = "cvqmpt_lab founders"
 copyright = f"2026 {author}"
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode"]
 include_patterns = [
-    "README.md", "CHANGELOG.md", "docs/*.md", "notebooks/*.ipynb", "paper_tables/README.md",
-    "paper_tables/results/*/*.md", "cvqmpt_lab/weights/*/README.md",
+    "README.md", "CHANGELOG.md", "CONTRIBUTING.md", "docs/*.md", "notebooks/*.ipynb",
+    "paper_tables/README.md", "paper_tables/results/*/*.md", "cvqmpt_lab/weights/*/README.md",
 ]  # fmt: skip
 exclude_patterns = [".*", "build", "runs", "data"]
 root_doc = "docs/index"
