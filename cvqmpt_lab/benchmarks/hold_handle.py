@@ -14,7 +14,7 @@ from cvqmpt_lab.constraints.task_space_region import Axis
 from cvqmpt_lab.robot.hulls import coal_hull
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.robot.source import FINGER_OPENING, read_source
+from cvqmpt_lab.robot.source import PANDA_FINGER_OPENING_M, read_source
 from cvqmpt_lab.robot.urdf import Joint, read_urdf
 from cvqmpt_lab.scene.coal_shapes import coal_shape, shape_distance
 from cvqmpt_lab.scene.shapes import Box
@@ -75,7 +75,7 @@ def _fingers(source: Mapping[str, Any]) -> list[Joint]:
 def _set(source: Mapping[str, Any], fingers: Sequence[Joint], share: float) -> dict[str, Any]:
     """Fields of the robot with fingers at a share of their range; {} without fingers."""
     if source.get("name") == "panda":
-        return {"finger_opening": round(share * FINGER_OPENING, 4)}
+        return {"finger_opening": round(share * PANDA_FINGER_OPENING_M, 4)}
     at = {f.name: round(f.lower + share * (f.upper - f.lower), 4) for f in fingers}
     return {"locked": {**source.get("locked", {}), **at}} if fingers else {}
 

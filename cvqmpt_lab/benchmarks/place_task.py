@@ -48,7 +48,7 @@ from cvqmpt_lab.constraints.task_space_region import (
 )
 from cvqmpt_lab.problem import PlanningProblem, shared_checker
 from cvqmpt_lab.results.row import PAPER_PHASES, FailReason
-from cvqmpt_lab.robot.load import FINGER_OPENING, panda, robot_from_source
+from cvqmpt_lab.robot.load import PANDA_FINGER_OPENING_M, panda, robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.articulation import take_out
 from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
@@ -321,7 +321,7 @@ def multi_sequence_task(number: int) -> Task:
     pregrasp = TaskSpaceRegion(grasp.T0_w, grasp.Tw_e @ pose((0.0, 0.0, -approach)), grasp.Bw)
     reach_handle, reach_can, carry = PAPER_PHASES
     can_grip = CAN.shape.radius  # type: ignore[union-attr]
-    open_fingers, grip = {"finger_opening": FINGER_OPENING}, {"finger_opening": GRIP}
+    open_fingers, grip = {"finger_opening": PANDA_FINGER_OPENING_M}, {"finger_opening": GRIP}
     return Task(
         name=str(number),
         robot=robot.source,

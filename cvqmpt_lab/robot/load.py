@@ -40,7 +40,7 @@ from cvqmpt_lab.robot.robot import (
     positive_per_joint,
 )
 from cvqmpt_lab.robot.source import (
-    FINGER_OPENING,
+    PANDA_FINGER_OPENING_M,
     RobotSource,
     content_digest,
     find_collision_meshes,
@@ -61,7 +61,7 @@ State = Annotated[FloatArray, Array((None,), "numbers [rad or m]")]
 """A configuration: numbers; in a file also {"joint": value} or a group_state of the SRDF."""
 
 
-def panda(finger_opening: float = FINGER_OPENING) -> Robot:
+def panda(finger_opening: float = PANDA_FINGER_OPENING_M) -> Robot:
     """Load the Franka Emika Panda with its hand, both fingers held at `finger_opening` [m]."""
     return robot_from_source({"name": "panda", "finger_opening": finger_opening})
 

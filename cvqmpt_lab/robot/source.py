@@ -141,10 +141,10 @@ def _of_arm(given: RobotSource) -> RobotSource:
             raise InvalidInputError(
                 f"'finger_opening' is an option of 'panda', not of {given.name!r}; use 'locked'"
             )
-        if not 0.0 <= given.finger_opening <= FINGER_OPENING:
+        if not 0.0 <= given.finger_opening <= PANDA_FINGER_OPENING_M:
             raise InvalidInputError(
                 f"finger opening {given.finger_opening} m: give a value from 0 to "
-                f"{FINGER_OPENING} m"
+                f"{PANDA_FINGER_OPENING_M} m"
             )
         fingers = dict.fromkeys(arm.locked, given.finger_opening)
     limits: dict[str, Any] = {
@@ -162,7 +162,7 @@ def _of_arm(given: RobotSource) -> RobotSource:
     )
 
 
-FINGER_OPENING = 0.04  # largest opening of each finger of the Panda's hand [m]
+PANDA_FINGER_OPENING_M = 0.04  # of each finger
 
 # Robots with two arms, which `ARMS` also has with one arm: NAME-left and NAME-right
 TWO_ARMS: Mapping[str, RobotSource] = {
@@ -216,7 +216,10 @@ ARMS: Mapping[str, RobotSource] = {
         "panda_description/urdf/panda.urdf",
         "panda_hand",
         "panda_description/srdf/panda.srdf",
-        {"panda_finger_joint1": FINGER_OPENING, "panda_finger_joint2": FINGER_OPENING},
+        {
+            "panda_finger_joint1": PANDA_FINGER_OPENING_M,
+            "panda_finger_joint2": PANDA_FINGER_OPENING_M,
+        },
         # Franka Control Interface, "Robot and interface specifications"
         acceleration_limits=np.array([15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0]),
         jerk_limits=np.array([7500.0, 3750.0, 5000.0, 6250.0, 7500.0, 10000.0, 10000.0]),
