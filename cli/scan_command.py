@@ -30,7 +30,7 @@ from cvqmpt_lab.cli.options import (
 from cvqmpt_lab.cli.problem_options import ROBOT, chosen_robot, configuration, pose_region
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.goals import SAMPLE_MARGIN_M, sample_region
-from cvqmpt_lab.constraints.named import NAMED, Region, upper_axis
+from cvqmpt_lab.constraints.named import NAMED_REGIONS, Region, upper_axis
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot
@@ -250,9 +250,9 @@ MOTION: Options = {
             metavar="X,Y,Z,R,P,Y",
         ),
         "--constraint": option(
-            f"{', '.join(NAMED)} (the first three keep the end effector's orientation at the "
-            "start, relative-pose=HAND keeps the other hand's pose relative to HAND), or a region "
-            "as json; repeatable",
+            f"{', '.join(NAMED_REGIONS)} (the first three keep the end effector's orientation at "
+            "the start, relative-pose=HAND keeps the other hand's pose relative to HAND), or a "
+            "region as json; repeatable",
             metavar="NAME[=VALUE]|JSON",
             **REPEATED,
         ),
@@ -328,7 +328,7 @@ def _constraint(text: str, robot: Robot, start: np.ndarray) -> TaskSpaceRegion:
     if text.lstrip().startswith("{"):
         return from_plain(Region, json_object(text, "--constraint"), "--constraint")
     name, _, value = text.partition("=")
-    require_choice("--constraint", name, NAMED)
+    require_choice("--constraint", name, NAMED_REGIONS)
     fields: dict[str, Any] = {}
     if name in ("upright", "upright-box"):
         fields["axis"] = upper_axis(robot.pose(start))
@@ -348,7 +348,9 @@ def _constraint(text: str, robot: Robot, start: np.ndarray) -> TaskSpaceRegion:
         held = {name: {"base": value, "at": at.tolist()}, "end_effector": hand}
         return from_plain(Region, held, "--constraint")
     if value:
-        fields[next(iter(field_kinds(NAMED[name])))] = numbers("--constraint", value, ("VALUE",))[0]
+        fields[next(iter(field_kinds(NAMED_REGIONS[name])))] = numbers(
+            "--constraint", value, ("VALUE",)
+        )[0]
     return from_plain(Region, {name: fields}, "--constraint")
 
 

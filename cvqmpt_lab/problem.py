@@ -210,7 +210,7 @@ class PlanningProblem(Document):
                 )
 
     def _drawn_start(self) -> FloatArray:
-        """The configuration (n,) in the start region and constraint, always the same one."""
+        """Draw the start (n,) in the start region and constraint; always the same one."""
         assert self.start_region is not None
         checker, rng = self.collision_checker(SAMPLE_MARGIN_M), np.random.default_rng(0)
         found = find_in_region(
@@ -224,7 +224,7 @@ class PlanningProblem(Document):
         return frozen(found.configurations[0])
 
     def labelled_configurations(self) -> Iterator[tuple[str, np.ndarray]]:
-        """("start", q), ("goal 0", q), ..."""
+        """Yield ("start", q), ("goal 0", q), ..."""
         yield "start", self.start
         for k, goal in enumerate(self.goals):
             yield f"goal {k}", goal
@@ -246,27 +246,27 @@ class PlanningProblem(Document):
 
     @cached_property
     def dynamics(self) -> Dynamics | None:
-        """Of the robot with what it carries; None where no effort is limited."""
+        """Dynamics of the robot and its load; None if no effort is limited."""
         return Dynamics.of(self.robot, loads_of(self.attachments))
 
     def random_stream(self, *keys: int) -> np.random.Generator:
-        """Generator seeded by keys (a seed) and the start; without keys alike for all planners."""
+        """Return a generator seeded by keys, such as a seed, and by the start."""
         return np.random.default_rng([*keys, *np.abs(self.start * 1e6).astype(np.uint64)])
 
     def why_no_goal(self) -> str:
-        """Reasons in words why no configuration was found for the goal region; see `why_none`."""
+        """Return why no configuration was found for the goal region, in words; see `why_none`."""
         assert self.goal_region is not None
         return why_none(
             self.robot, self.goal_region, self.collision_checker(SAMPLE_MARGIN_M), self.constraint
         )
 
     def collision_checker(self, margin: float = 0.0) -> CollisionChecker:
-        """The exact checker of this problem's world; distances below margin [m] are collisions."""
+        """Return the exact checker of this problem; distances below margin [m] are collisions."""
         return shared_checker(self.robot, self.scene, self.attachments, margin, self.clearance)
 
 
 def _with_numbers(data: Any) -> Any:
-    """Json of a problem with numbers for configurations by joint or name of a group_state."""
+    """Replace configurations given by joint or by name of a group_state by numbers."""
     if not isinstance(data, Mapping):
         return data
     start, goals = data.get("start"), data.get("goals")
@@ -285,7 +285,7 @@ def _with_numbers(data: Any) -> Any:
 
 @lru_cache(maxsize=8)
 def _checker_of_thread(thread: int, *parts: Any) -> CollisionChecker:
-    """A checker for one thread alone: a check writes to pinocchio's and coal's data."""
+    """Return a checker for one thread alone: a check writes to pinocchio's and coal's data."""
     return CollisionChecker(*parts)
 
 
@@ -296,7 +296,15 @@ def shared_checker(
     margin: float,
     clearance: float = 0.0,
 ) -> CollisionChecker:
-    """The exact checker of a robot, scene and attachments, cached for this thread (10 ms)."""
+    """Return the exact checker of a world, cached for this thread; making one takes 10 ms.
+
+    Args:
+        robot: the robot.
+        scene: obstacles.
+        attachments: bodies that the robot carries.
+        margin: distances below it are collisions [m].
+        clearance: kept from obstacles in addition [m].
+    """
     thread = threading.get_ident()
     return _checker_of_thread(thread, robot, scene, attachments, margin, clearance)
 
@@ -352,7 +360,7 @@ def _faults(problem: PlanningProblem, goals: np.ndarray) -> Iterator[tuple[int, 
 
 
 def with_projected_start(problem: PlanningProblem) -> PlanningProblem:
-    """The problem with its start moved onto the constraint (Algorithm 1); refused if that fails."""
+    """Return the problem with its start projected by Algorithm 1; refuse it if that fails."""
     start = problem.manifold.project(problem.start)
     if start is None:
         raise InvalidProblemError(
@@ -393,5 +401,5 @@ def _off_manifold(
     if against := contradiction(problem.robot, problem.constraint):
         cure = f"{against}; move, widen or leave out a region"
     off = np.linalg.norm(problem.manifold.residual(states), axis=1).min()
-    told = ", ".join(filter(None, bounds)) or "the constraint by rounding"
-    return f"{broken} {told}, |F| = {off:.3g}", cure
+    violated = ", ".join(filter(None, bounds)) or "the constraint by rounding"
+    return f"{broken} {violated}, |F| = {off:.3g}", cure

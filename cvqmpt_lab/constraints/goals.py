@@ -113,7 +113,17 @@ def solve_poses(
 def first_guesses(
     robot: Robot, rng: np.random.Generator, poses: int, near: np.ndarray | None = None
 ) -> np.ndarray:
-    """Draw seeds (poses, POSE_ATTEMPTS, n) of Newton's method: uniform, or around `near` (n,)."""
+    """Draw seeds of Newton's method.
+
+    Args:
+        robot: the robot.
+        rng: random numbers.
+        poses: number of poses k.
+        near: configuration (n,) around which seeds are drawn [rad or m]; None: uniform seeds.
+
+    Returns:
+        (k, POSE_ATTEMPTS, n) [rad or m].
+    """
     shape = (poses, POSE_ATTEMPTS, robot.dof)
     if near is None:
         return robot.random_configurations(rng, poses * POSE_ATTEMPTS).reshape(shape)
@@ -177,7 +187,7 @@ class GoalSample:
     colliding: int  # poses with solutions, none of them free of collision
 
     def with_more(self, other: "GoalSample") -> "GoalSample":
-        """Both samples together."""
+        """Return both samples as one."""
         return GoalSample(
             np.concatenate([self.configurations, other.configurations]),
             self.poses_tried + other.poses_tried,
@@ -187,7 +197,7 @@ class GoalSample:
 
     @property
     def outcome(self) -> str:
-        """Counts of poses that gave no configuration."""
+        """The number of poses without a configuration, in words."""
         tried = f"of {self.poses_tried} poses, {self.unreachable} without inverse kinematics"
         return f"{tried}, {self.colliding} in collision"
 

@@ -1,4 +1,8 @@
-"""Regions as problem files write them: in full, or one of a few common ones by name."""
+"""Regions as problem files state them: in full, or by one of a few names with parameters.
+
+A new name is a function that returns a region, here or in a file of its own, and its entry in
+`NAMED_REGIONS`.
+"""
 
 from collections.abc import Mapping
 from typing import Annotated, Any, get_args
@@ -28,12 +32,12 @@ from cvqmpt_lab.constraints.task_space_region import (
 
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
-HAND = "end_effector"  # field of a region that names its own
+HAND_FIELD = "end_effector"  # of a region, names its hand
 Tolerance = Annotated[float, Condition(float, lambda x: x >= 0.0, "0 or more")]
 
 
 def upper_axis(T_world_hand: np.ndarray) -> Axis:
-    """The axis of the end effector, at a pose (4, 4), that points up most."""
+    """Return the axis of the end effector at a pose (4, 4) that points up most."""
     up = T_world_hand[2, :3]
     k = int(np.argmax(np.abs(up)))
     return get_args(Axis)[2 * k + (up[k] < 0.0)]
@@ -42,7 +46,7 @@ def upper_axis(T_world_hand: np.ndarray) -> Axis:
 def fixed_orientation(
     tolerance: Angle, rpy: Vector | None = None, quaternion: Quaternion | None = None
 ) -> TaskSpaceRegion:
-    """The end effector has a fixed orientation; its position is free.
+    """Return the region of a fixed orientation of the end effector; its position is free.
 
     Args:
         tolerance: of each entry of the rotation vector from that orientation [rad].
@@ -54,7 +58,7 @@ def fixed_orientation(
 
 
 def plane(normal: Vector, point: Vector, tolerance: Tolerance = 0.0) -> TaskSpaceRegion:
-    """The end effector's origin stays in a plane; it turns freely.
+    """Return the region where the end effector's origin stays in a plane; it turns freely.
 
     Args:
         normal: of any length.
@@ -66,7 +70,7 @@ def plane(normal: Vector, point: Vector, tolerance: Tolerance = 0.0) -> TaskSpac
 
 
 def line(direction: Vector, point: Vector, tolerance: Tolerance = 0.0) -> TaskSpaceRegion:
-    """The end effector's origin stays on a line; it turns freely.
+    """Return the region where the end effector's origin stays on a line; it turns freely.
 
     Args:
         direction: of any length.
@@ -80,7 +84,7 @@ def line(direction: Vector, point: Vector, tolerance: Tolerance = 0.0) -> TaskSp
 def near_pose(
     at: Pose, position: Tolerance = 0.0, tilt: Angle = 0.0, yaw: Angle = 0.0
 ) -> TaskSpaceRegion:
-    """The end effector stands at a pose, or close to it.
+    """Return the region of poses of the end effector at a pose, or close to it.
 
     Args:
         at: its pose in the world (4, 4).
@@ -101,9 +105,9 @@ def relative_pose(
     rotation: Angle = 0.0,
     about: Axis | None = None,
 ) -> TaskSpaceRegionChain:
-    """The end effector stands at a pose in the frame of another one, or close to it.
+    """Return the region of poses of the end effector in the frame of another one.
 
-    Both then hold one thing, as a closed chain.
+    Both then hold one body, as a closed chain.
 
     Args:
         base: the other end effector, or another frame of the robot.
@@ -126,8 +130,8 @@ def _direction(axis: Axis) -> Vector:
     return x, y, z
 
 
-# what may stand for a region: `{"upright": {...}}` or `{"upright": 0.1}`, its first argument
-NAMED: Mapping[str, Any] = {
+# function by name: `{"upright": {...}}`, or `{"upright": 0.1}` with its first parameter alone
+NAMED_REGIONS: Mapping[str, Any] = {
     "upright": upright,
     "upright-box": upright_box,
     "fixed-orientation": fixed_orientation,
@@ -139,16 +143,16 @@ NAMED: Mapping[str, Any] = {
 
 
 def region(name: str, **fields: Any) -> TaskSpaceRegion:
-    """A region by its name and a problem file's fields: ``region("plane", normal=..., point=...)``.
+    """Return a region by name and fields of a problem file: ``region("plane", normal=..., ...)``.
 
-    Names and fields: see `NAMED`; UnknownChoiceError or InvalidInputError for others.
+    Names and fields: see `NAMED_REGIONS`; UnknownChoiceError or InvalidInputError for others.
     """
-    require_choice("region", name, NAMED)
+    require_choice("region", name, NAMED_REGIONS)
     return from_plain(Region, {name: fields})
 
 
 def _along(point: Vector, direction: Vector) -> np.ndarray:
-    """A frame (4, 4) at a point whose z axis points along a direction."""
+    """Return a frame (4, 4) at a point whose z axis points along a direction."""
     if not any(direction):
         raise InvalidInputError("the direction is 0, 0, 0")
     # scaled, so that the squared length is neither 0 nor infinite
@@ -160,36 +164,37 @@ def _along(point: Vector, direction: Vector) -> np.ndarray:
 
 
 class RegionForm:
-    """A region, one that hangs on a frame of the robot when it has a "base", or one of `NAMED`."""
+    """Json form of a region: in full (a chain if it has a "base"), or by name."""
 
     def read(self, value: Any, where: str) -> TaskSpaceRegion:
-        """Make the region, in full."""
+        """Return the region of a json value."""
         if isinstance(value, TaskSpaceRegion):
             return value
         full = field_kinds(TaskSpaceRegionChain)
         keys = [key for key in mapping(value, where, ", ".join(full)) if key != "_comment"]
-        unknown = next((key for key in keys if key not in (*full, *NAMED)), None)
+        unknown = next((key for key in keys if key not in (*full, *NAMED_REGIONS)), None)
         if unknown is not None:
             raise InvalidInputError(
-                f"{at(where, shown(unknown)[1:-1])} is unknown{nearest(unknown, [*full, *NAMED])}; "
-                f"fields: {', '.join(full)}, or one of {', '.join(NAMED)} alone, or with "
-                f"{HAND}"
+                f"{at(where, shown(unknown)[1:-1])} is unknown"
+                f"{nearest(unknown, [*full, *NAMED_REGIONS])}; fields: {', '.join(full)}, or one "
+                f"of {', '.join(NAMED_REGIONS)} alone, or with {HAND_FIELD}"
             )
-        if not any(key in NAMED for key in keys):
+        if not any(key in NAMED_REGIONS for key in keys):
             kind: Any = TaskSpaceRegionChain if "base" in value else TaskSpaceRegion
             return from_plain(kind, value, where)
-        name = next(key for key in keys if key in NAMED)
-        if [key for key in keys if key not in (name, HAND)]:
+        name = next(key for key in keys if key in NAMED_REGIONS)
+        if [key for key in keys if key not in (name, HAND_FIELD)]:
             raise InvalidInputError(
-                f"{where} has {', '.join(keys)}; a region by name stands alone, or with {HAND}"
+                f"{where} has {', '.join(keys)}; a region by name stands alone, or with "
+                f"{HAND_FIELD}"
             )
-        kind, content = NAMED[name], value[name]
+        kind, content = NAMED_REGIONS[name], value[name]
         if not isinstance(content, Mapping):
             content = {next(iter(field_kinds(kind))): content}
         made = from_plain(kind, content, at(where, name))
-        if HAND not in value:
+        if HAND_FIELD not in value:
             return made
-        hand = from_plain(Name | None, value[HAND], at(where, HAND))
+        hand = from_plain(Name | None, value[HAND_FIELD], at(where, HAND_FIELD))
         return made.changed(end_effector=hand)
 
 

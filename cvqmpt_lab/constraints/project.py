@@ -108,7 +108,7 @@ def newton_step(scratch, out):
 
 @kernel(inline="source")
 def _hold_joints_at_limits(kinematics, q, scratch):
-    """Zero the columns of J of joints that would leave a limit; whether there are any."""
+    """Zero the columns of J of joints that would leave a limit; return whether there are any."""
     found = False
     for j in range(q.shape[0]):
         below = q[j] <= kinematics.lower[j] and scratch.step[j] < 0.0
@@ -121,7 +121,20 @@ def _hold_joints_at_limits(kinematics, q, scratch):
 
 @kernel(inline="source")
 def newton(kinematics, regions, q, tolerance, max_iterations, stop_on_stall, scratch):
-    """`project` with early exit: stop_on_stall gives up as soon as |F| hardly falls."""
+    """Project q (n,) in place by Newton's method, see the head of this file.
+
+    Args:
+        kinematics: of the robot.
+        regions: the constraint.
+        q: (n,), projected in place [rad or m].
+        tolerance: of |F| [m, rad].
+        max_iterations: Newton steps at most.
+        stop_on_stall: whether to give up as soon as |F| hardly falls, see STALLED.
+        scratch: work arrays.
+
+    Returns:
+        Number of Newton steps k, or -1 - k on failure.
+    """
     for j in range(q.shape[0]):
         q[j] = min(max(q[j], kinematics.lower[j]), kinematics.upper[j])
     rotation, translation = scratch.link_rotation, scratch.link_translation
@@ -189,10 +202,18 @@ def reach_poses(
     scratch: ProjectionScratch,
     iterations: Annotated[np.ndarray, "int64 count attempts"],
 ):
-    """Project configurations (k, a, n) in place onto k poses of the first region's reference frame.
+    """Project configurations in place onto poses of the first region's reference frame.
 
-    rotations, translations: (k, 3, 3) and (k, 3) [m], the poses. iterations: (k, a), written, as
-        `project` returns.
+    Args:
+        kinematics: of the robot.
+        regions: the constraint; the reference frame of its first region is overwritten.
+        rotations: (k, 3, 3) of the poses.
+        translations: (k, 3) of the poses [m].
+        configurations: (k, a, n), a seeds for each pose, projected in place [rad or m].
+        tolerance: of |F| [m, rad].
+        max_iterations: Newton steps at most.
+        scratch: work arrays.
+        iterations: (k, a), written, as `project` returns them.
     """
     for i in range(configurations.shape[0]):
         for row in range(3):

@@ -210,9 +210,15 @@ def _orientation_rows(regions, k, first):
 def residual(regions, link_rotation, link_translation, out, displacement):
     """Write F = min(x - lower, 0) + max(x - upper, 0) (m,) into out; return |F|^2.
 
-    x is the displacement of the regions, see above. Link poses come from forward_kinematics.
-    displacement: (k, 12), written for `jacobian`: of each region, the end point in the world,
-        position and rotation vector; where it bounds the tilt, that and x and y of c / |c|.
+    x is the displacement of the regions, see the head of this file.
+
+    Args:
+        regions: k regions with m bounded rows.
+        link_rotation: (p, 3, 3) by `forward_kinematics`.
+        link_translation: (p, 3) by `forward_kinematics` [m].
+        out: (m,), written: F [m, rad].
+        displacement: (k, 12), written for `jacobian`: end point in the world, position and rotation
+            vector of each region; where it bounds the tilt, also the tilt and x and y of c / |c|.
     """
     m = regions.region.shape[0]
     first, square = 0, 0.0
@@ -259,10 +265,18 @@ def jacobian(
 ):
     """Write J = dF/dq (m, n) into out: of v_j, Jl^-1(e) w_j and c . w_j / |c| for each joint j.
 
-    v_j, w_j: velocity and angular velocity of the end frame against the reference.
-    displacement, out_of_bounds: what `residual` wrote for the same link poses.
-    full: rows inside their bounds keep the derivative of x instead of zero (the full-rank form
-        that tangent-space planners need).
+    v_j and w_j are the velocity and angular velocity of the end frame against the reference.
+
+    Args:
+        kinematics: of the robot.
+        regions: k regions with m bounded rows.
+        link_rotation: (p, 3, 3) by `forward_kinematics`.
+        link_translation: (p, 3) by `forward_kinematics` [m].
+        displacement: (k, 12), written by `residual` for the same link poses.
+        full: rows inside their bounds keep the derivative of x instead of zero (the full-rank form
+            that tangent-space planners need).
+        out_of_bounds: (m,), F written by `residual`.
+        out: (m, n), written: J.
     """
     n = kinematics.parent.shape[0]
     m = regions.region.shape[0]
@@ -310,7 +324,19 @@ def batch_residual_and_jacobian(
     residuals: Annotated[np.ndarray, "count m"],
     jacobians: Annotated[np.ndarray, "count m n"],
 ):
-    """Write F (b, m) and dF/dq (b, m, n) of configurations (b, n); the rest are work arrays."""
+    """Write F and dF/dq of a batch of configurations.
+
+    Args:
+        kinematics: of the robot.
+        regions: k regions with m bounded rows.
+        configurations: (b, n) [rad or m].
+        full: see `jacobian`.
+        rotation: (p, 3, 3) work array.
+        translation: (p, 3) work array.
+        displacement: (k, 12) work array.
+        residuals: (b, m), written: F [m, rad].
+        jacobians: (b, m, n), written: dF/dq.
+    """
     for i in range(configurations.shape[0]):
         forward_kinematics(kinematics, configurations[i], rotation, translation)
         residual(regions, rotation, translation, residuals[i], displacement)

@@ -1,4 +1,4 @@
-"""How much of its bounds a path uses, and which bound is broken most."""
+"""Reports on bounds: the share that a path uses, and the bound that is violated most."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -28,11 +28,11 @@ class BoundUse:
 
     @property
     def unit(self) -> str:
-        """Of value and bounds."""
+        """Unit of value and bounds."""
         return UNITS[self.row]
 
     def __str__(self) -> str:
-        """For people: "rotation about y 0.071 of 0.100 rad"."""
+        """Return the use in words: "rotation about y 0.071 of 0.100 rad"."""
         if self.lower == -self.upper:
             return f"{ROWS[self.row]} {abs(self.value):.3g} of {self.upper:.3g} {self.unit}"
         return (
@@ -41,7 +41,7 @@ class BoundUse:
 
 
 def bounds_text(regions: Sequence[TaskSpaceRegion]) -> str:
-    """For people: "rotation about y -0.1 to 0.1 rad, rotation about z ..."; ";" between regions."""
+    """Return bounds in words: "rotation about y -0.1 to 0.1 rad, ..."; ";" between regions."""
     texts = []
     for region in regions:
         bounds = [(row, *region.bounds[row]) for row in region.bounded_rows]
@@ -57,7 +57,7 @@ def bounds_text(regions: Sequence[TaskSpaceRegion]) -> str:
 def bound_usage(
     robot: Robot, regions: Sequence[TaskSpaceRegion], states: np.ndarray
 ) -> tuple[BoundUse, ...]:
-    """The largest use of every bound of regions over states (m, n), m >= 1; poses by pinocchio."""
+    """Return the largest use of every bound of regions over states (m, n), m >= 1, by pinocchio."""
     uses = []
     for k, region in enumerate(regions):
         x = displacements(robot, region, states)
@@ -69,13 +69,13 @@ def bound_usage(
 
 
 def displacements(robot: Robot, region: TaskSpaceRegion, states: np.ndarray) -> np.ndarray:
-    """Displacements x (m, 7) of its end effector at states (m, n), see `bounds` [m, rad]."""
+    """Return displacements x (m, 7) of the end effector at states (m, n), see `bounds` [m, rad]."""
     poses = robot.poses(states, region.end_effector)
     return displaced(region, poses, region.reference_poses(robot, states))
 
 
 def displaced(region: TaskSpaceRegion, poses: np.ndarray, references: np.ndarray) -> np.ndarray:
-    """Displacements (m, 7): x = (t, Log R, tilt of R), t and R of T = (T0_w)^-1 T0_e (Tw_e)^-1.
+    """Return displacements (m, 7): x = (t, Log R, tilt of R) of T = (T0_w)^-1 T0_e (Tw_e)^-1.
 
     Args:
         region: the region.
@@ -88,14 +88,14 @@ def displaced(region: TaskSpaceRegion, poses: np.ndarray, references: np.ndarray
 
 
 def excess(region: TaskSpaceRegion, x: np.ndarray) -> np.ndarray:
-    """max(lower - x, x - upper) of displacements x (m, 7), negative inside; -inf without bounds."""
+    """Return max(lower - x, x - upper) of displacements x (m, 7), negative inside; -inf if free."""
     lower, upper = region.bounds.T
     bounded = np.isin(np.arange(7), region.bounded_rows)
     return np.where(bounded, np.maximum(lower - x, x - upper), -np.inf)
 
 
 def broken_bound(region: TaskSpaceRegion, x: np.ndarray) -> str:
-    """The bound that the best of displacements x (m, 7) breaks most, in words, or ""."""
+    """Return the bound that the best of displacements x (m, 7) violates most, in words, or ""."""
     beyond = excess(region, x)
     k = int(beyond.max(axis=1).argmin())
     if beyond[k].max() <= PROJECTION_TOLERANCE:
@@ -114,8 +114,8 @@ def broken_bound(region: TaskSpaceRegion, x: np.ndarray) -> str:
         (0, 1, 2, 5, 6): "pose",
     }
     kind = kinds.get(tuple(region.bounded_rows.tolist()), "the region")
-    told = ""
+    leaning = ""
     if kind.startswith("upright"):
         leans = np.arccos(rotation_matrices(x[k, None, 3:6])[0, 0, 0].clip(-1.0, 1.0))
-        told = f" (it tilts by {np.degrees(leans if kind == 'upright-box' else x[k, 6]):.0f}°)"
-    return f"`{kind}` by {use.excess:.3g} {use.unit}: {use}{told}"
+        leaning = f" (it tilts by {np.degrees(leans if kind == 'upright-box' else x[k, 6]):.0f}°)"
+    return f"`{kind}` by {use.excess:.3g} {use.unit}: {use}{leaning}"

@@ -31,10 +31,10 @@ ROWS_TEXT = (
 
 
 class BoundsForm:
-    """Six rows of two bounds, null where there is none."""
+    """Json form of six rows of two bounds, null where there is no bound."""
 
     def read(self, value: Any, where: str) -> FloatArray:
-        """A read-only array (6, 2) with +-inf where there is no bound."""
+        """Return a read-only array (6, 2) with +-inf where there is no bound."""
         if isinstance(value, list | tuple):
             value = [
                 [
@@ -63,7 +63,7 @@ class BoundsForm:
         return frozen(Bw)
 
     def write(self, value: FloatArray) -> list:
-        """Rows, infinite bounds as null."""
+        """Return the rows, infinite bounds as null."""
         return [[None if np.isinf(bound) else float(bound) for bound in row] for row in value]
 
 
@@ -103,14 +103,14 @@ class TaskSpaceRegion(Checked):
         object.__setattr__(self, "tilt", None)
 
     def links(self, robot: Robot) -> tuple[tuple[int, np.ndarray], tuple[int, np.ndarray]]:
-        """Pose row that carries w (0 = the world), T_link_w (4, 4); the same of e.
+        """Return the pose row that carries w (0 = the world) with T_link_w (4, 4), and those of e.
 
         InvalidInputError or UnknownChoiceError: the robot has no such frames.
         """
         return (0, self.T0_w), robot.hand(self.end_effector)
 
     def reference_poses(self, robot: Robot, q: np.ndarray) -> np.ndarray:
-        """T_world_w (k, 4, 4) at q (k, n), by pinocchio; (1, 4, 4) if it is fixed."""
+        """Return T_world_w (k, 4, 4) at q (k, n) by pinocchio; (1, 4, 4) if w does not move."""
         return self.T0_w[None]
 
     @cached_property
@@ -128,13 +128,16 @@ class TaskSpaceRegion(Checked):
 
     @property
     def wide(self) -> np.ndarray:
-        """Which of `bounds` have a width (7,) bool; the others fix an entry."""
+        """Return which rows (7,) of `bounds` have a positive width; the others fix an entry."""
         return self.bounds[:, 0] < self.bounds[:, 1]
 
     def inset(self, metres: float, radians: float, share: float = 0.4) -> Self:
-        """The region whose bounds lie inside by [m] and [rad]; rows of width 0 stay.
+        """Return the region with bounds moved inwards; rows of width 0 stay.
 
-        share: of the width of a row that its bound is moved at most.
+        Args:
+            metres: by which position bounds are moved [m].
+            radians: by which rotation and tilt bounds are moved [rad].
+            share: largest share of the width of a row by which its bound is moved.
         """
         lower, upper = self.bounds.T
         width = np.where(np.isinf(lower) | np.isinf(upper), FREE, upper - lower)
@@ -144,7 +147,7 @@ class TaskSpaceRegion(Checked):
         return self.changed(Bw=frozen(Bw), tilt=tilt)
 
     def sample_poses(self, rng: np.random.Generator, count: int) -> np.ndarray:
-        """Poses T0_w T(x) Tw_e (count, 4, 4), x uniform in the bounds; free turns in +-pi.
+        """Draw poses T0_w T(x) Tw_e (count, 4, 4), x uniform in the bounds, free rotations in +-pi.
 
         A rotation vector e turns by t <= pi and tilts by b: with h = hypot(e_x, e_y),
         sin(b / 2) = h sin(t / 2) / t >= h / pi. Candidates are drawn in a box.
@@ -192,7 +195,7 @@ class TaskSpaceRegionChain(TaskSpaceRegion):
     fixed: bool = False
 
     def links(self, robot: Robot) -> tuple[tuple[int, np.ndarray], tuple[int, np.ndarray]]:
-        """As of a `TaskSpaceRegion`; refuses a base that e does not move against."""
+        """Return the links of w and e; refuse a base that e does not move against."""
         row, T_link_base = robot.link_of(self.base)
         if row == 0 and not self.fixed:
             raise InvalidInputError(
@@ -214,11 +217,11 @@ class TaskSpaceRegionChain(TaskSpaceRegion):
         return (row, T_link_base @ self.T0_w), (link, T_link_e)
 
     def reference_poses(self, robot: Robot, q: np.ndarray) -> np.ndarray:
-        """T_world_w (k, 4, 4) at configurations q (k, n), by pinocchio."""
+        """Return T_world_w (k, 4, 4) at configurations q (k, n) by pinocchio."""
         return robot.poses(q, self.base) @ self.T0_w
 
     def at(self, T_world_base: np.ndarray) -> TaskSpaceRegion:
-        """The region in the world while the base stands at a pose (4, 4)."""
+        """Return the region in the world for a base that stands at a pose (4, 4)."""
         return TaskSpaceRegion(
             T_world_base @ self.T0_w,
             self.Tw_e,
@@ -231,13 +234,22 @@ class TaskSpaceRegionChain(TaskSpaceRegion):
 def symmetric_region(
     T0_w: np.ndarray, Tw_e: np.ndarray, bounds: Sequence[float], tilt: float | None = None
 ) -> TaskSpaceRegion:
-    """A region whose entries x (6,) lie in +-bounds (6,), its tilt in its bound [m, rad]."""
+    """Return a region whose displacement x lies within symmetric bounds.
+
+    Args:
+        T0_w: pose of the frame w in the world (4, 4) [m].
+        Tw_e: pose of the end effector in w at zero displacement (4, 4) [m].
+        bounds: (6,), entry k of x lies in +-bounds[k] [m, rad].
+        tilt: upper bound of the tilt [rad]; None: free.
+    """
     Bw = np.array([[-bound, bound] for bound in bounds])
     return TaskSpaceRegion(T0_w, Tw_e, Bw, tilt=tilt)
 
 
 def upright(tilt: Angle = 0.1, axis: Axis = "x") -> TaskSpaceRegion:
-    """An axis of the hand points up, in a cone; yaw about it and position are free.
+    """Return the region where an axis of the hand points up within a cone.
+
+    Yaw and position are free.
 
     Args:
         tilt: largest angle between axis and vertical [rad].
@@ -247,11 +259,12 @@ def upright(tilt: Angle = 0.1, axis: Axis = "x") -> TaskSpaceRegion:
 
 
 def upright_box(tilt: Angle = 0.1, axis: Axis = "x") -> TaskSpaceRegion:
-    """An axis of the hand points up, in the box of the paper; yaw and position are free.
+    """Return the region where an axis of the hand points up within the box of the paper.
 
-    With R_t the upright orientation, entries 1 and 2 of Log(R_t^T R) lie in +-tilt. With the hand's
-    x and 0.1 rad this is the constraint of the published experiment code. The axis may lean by up
-    to 1.41 tilt at yaw 0; at yaw pi leaning by 0.64 tilt can be too much.
+    Yaw and position are free. With R_t the upright orientation, entries 1 and 2 of Log(R_t^T R) lie
+    in +-tilt. With the hand's x and 0.1 rad this is the constraint of the published experiment
+    code. The axis may lean by up to 1.41 tilt at yaw 0; at yaw pi leaning by 0.64 tilt can be too
+    much.
 
     Args:
         tilt: bound of both entries [rad].
@@ -262,7 +275,7 @@ def upright_box(tilt: Angle = 0.1, axis: Axis = "x") -> TaskSpaceRegion:
 
 
 def _standing(axis: Axis) -> np.ndarray:
-    """A pose (4, 4) of the hand, at the origin, in which an axis of it points up."""
+    """Return a pose (4, 4) of the hand at the origin in which one of its axes points up."""
     # the axis of e is x of the upright orientation, ...
     R = np.roll(np.eye(3), -"xyz".index(axis[-1]), axis=0)
     if axis[0] == "-":

@@ -11,7 +11,7 @@ import cvqmpt_lab
 from cvqmpt_lab.base.codec import field_defaults, field_kinds
 from cvqmpt_lab.base.files import json_text
 from cvqmpt_lab.base.poses import Placement
-from cvqmpt_lab.constraints.named import NAMED
+from cvqmpt_lab.constraints.named import NAMED_REGIONS
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, TaskSpaceRegionChain
 from cvqmpt_lab.problem import PlanningProblem, check_problem
 from cvqmpt_lab.robot.source import RobotSource
@@ -76,7 +76,7 @@ def test_the_schemas_that_ship_have_the_fields_of_the_code(name):
         *KINDS[name],
         *SHAPE_CLASSES.values(),
         *SHAPES_BY_PATH.values(),
-        *NAMED.values(),
+        *NAMED_REGIONS.values(),
         *BOTH,
     ):
         fields = frozenset(field_kinds(kind)) - APART
