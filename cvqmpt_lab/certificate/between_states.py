@@ -9,6 +9,7 @@ from cvqmpt_lab.base.values import frozen
 from cvqmpt_lab.constraints.bounds_between import ROTATION_RATE, bound_between
 from cvqmpt_lab.constraints.report import displacements, excess
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
+from cvqmpt_lab.geometry.polyline import numbered_parts, parts_within, states_between
 from cvqmpt_lab.robot.robot import Robot
 
 CUTS = 4  # times that stretches are cut at most
@@ -124,16 +125,11 @@ def least_slack(
 
 def evenly_spaced(states: np.ndarray, spacing: float) -> np.ndarray:
     """Cut the segments between states (m, n) into pieces of at most `spacing` [rad]."""
-    lengths = np.linalg.norm(np.diff(states, axis=0), axis=1)
-    counts = np.maximum(1, np.ceil(lengths / spacing)).astype(int)
-    return _cut(states, counts)
+    return _cut(states, parts_within(states, spacing))
 
 
 def _cut(states: np.ndarray, counts: np.ndarray) -> np.ndarray:
     """Cut segment k between states (m, n) into counts[k] pieces."""
-    segment = np.repeat(np.arange(len(counts)), counts)
-    share = (np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts) + 1) / counts[
-        segment
-    ]
-    cut = states[segment] + share[:, None] * (states[segment + 1] - states[segment])
-    return np.concatenate([states[:1], cut])
+    segment, part = numbered_parts(counts)
+    ends = states_between(states, segment, (part + 1) / counts[segment])
+    return np.concatenate([states[:1], ends])

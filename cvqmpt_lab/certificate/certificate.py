@@ -15,6 +15,7 @@ from cvqmpt_lab.certificate.motion_proof import Least, prove_free
 from cvqmpt_lab.collision.carried import reach_with
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegionChain
+from cvqmpt_lab.geometry.polyline import nearest_places, step_lengths
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.search.result import JointPath
 
@@ -227,11 +228,7 @@ def deviation_tolerated(
 
 def _place(states: np.ndarray, q: np.ndarray) -> float:
     """Where on a path (m, n) a configuration (n,) lies, as `Fault.at`."""
-    steps = np.diff(states, axis=0)
-    squared = np.maximum(np.einsum("kj,kj->k", steps, steps), np.finfo(float).tiny)
-    share = np.clip(np.einsum("kj,kj->k", q - states[:-1], steps) / squared, 0.0, 1.0)
-    off = np.linalg.norm(states[:-1] + share[:, None] * steps - q, axis=1)
-    return float(off.argmin() + share[off.argmin()])
+    return float(nearest_places(states, q[None])[0][0])
 
 
 def _clearance(states: np.ndarray, least: Least | None, kept: float) -> Clearance | None:
@@ -279,7 +276,7 @@ def _end_faults(problem: PlanningProblem, path: JointPath) -> list[Fault]:
 
 def _motion_faults(problem: PlanningProblem, path: JointPath) -> list[Fault]:
     faults, states = [], path.states
-    steps = np.linalg.norm(np.diff(states, axis=0), axis=1)
+    steps = step_lengths(states)
     if steps.max() > LARGEST_STEP:
         faults.append(
             Fault(FaultKind.STEP, f"a step of {steps.max():.3g} rad", float(steps.argmax()))

@@ -16,6 +16,7 @@ import numpy as np
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.certificate.certificate import Certificate, Fault, FaultKind, certify
 from cvqmpt_lab.collision.carried import reach_with
+from cvqmpt_lab.geometry.polyline import cut, numbered_parts, step_lengths
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import JointLimits
 from cvqmpt_lab.search.result import JointPath
@@ -61,9 +62,8 @@ def certified_motion(
     """
     from cvqmpt_lab.trajectory.timing import time_path  # half a second to import
 
-    steps = np.linalg.norm(np.diff(path.states, axis=0), axis=1)
     # OMPL repeats some states, which cannot be timed
-    states = path.states[np.append(True, steps > 1e-8)]
+    states = path.states[np.append(True, step_lengths(path.states) > 1e-8)]
     if len(states) < 2:
         raise InvalidInputError("the path does not move: there is nothing to time")
     states[-1] = path.states[-1]
@@ -217,9 +217,7 @@ def _moments(
             f"straight pieces; at most {most_pieces} are: certify it in parts; are times in "
             "seconds?"
         )
-    counted = zip(curve.x, spans, pieces.astype(int), strict=False)
-    cuts = [t + span * np.arange(count) / count for t, span, count in counted]
-    return np.concatenate([*cuts, curve.x[-1:]])
+    return cut(curve.x[:, None], pieces.astype(int))[:, 0]
 
 
 def _limit_faults(
@@ -273,9 +271,7 @@ def _effort_faults(
         text = f"efforts are not proven: {parts.sum():.3g} looks at them are too many"
         yield Fault(FaultKind.NOT_PROVEN, text)
         return
-    points = parts.astype(int) + 1
-    piece = np.repeat(np.arange(len(spans)), points)
-    number = np.arange(len(piece)) - np.repeat(np.cumsum(points) - points, points)
+    piece, number = numbered_parts(parts.astype(int) + 1)
     after = number * (spans / parts)[piece]
     states = [np.polyval(curve.derivative(k).c[:, piece], after[:, None]) for k in range(3)]
     most = (

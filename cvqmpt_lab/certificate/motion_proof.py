@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cvqmpt_lab.collision.exact import ROUNDING, CollidingPair, CollisionChecker, Nearest
+from cvqmpt_lab.geometry.polyline import Polyline
 
 
 class Unproven(NamedTuple):
@@ -55,7 +56,7 @@ def prove_free(
 
     Returns at the first collision. clearance: whether least distances are found and proven, too.
     """
-    line, itself = _Polyline(states), None
+    line, itself = Polyline(states), None
     own = _Least(checker.nearest_of_itself, line) if clearance else None
     room = _Least(checker.nearest_obstacle, line) if clearance else None
     clear, hits = checker.clear_of_obstacles, checker.in_collision
@@ -90,7 +91,7 @@ class _Least:
     def __init__(
         self,
         nearest: Callable[[np.ndarray, float], Nearest],
-        line: "_Polyline",
+        line: Polyline,
         share: float = 0.2,
         finest: float = 1e-3,
         far: float = 0.1,
@@ -121,7 +122,7 @@ class _Least:
 
 
 def _walk(
-    line: "_Polyline",
+    line: Polyline,
     parts: int,
     clear: Callable[[np.ndarray, np.ndarray, np.ndarray, float], tuple[np.ndarray, np.ndarray]],
     hits: Callable[[np.ndarray], bool],
@@ -196,34 +197,3 @@ def _walk(
                 unproven = Unproven(2.0 * half, middle, hull)
         ahead.extendleft(reversed(left))
     return MotionProof(None, unproven, looks)
-
-
-class _Polyline:
-    """Straight joint motions through states, by the distance along them."""
-
-    def __init__(self, states: np.ndarray) -> None:
-        along = np.cumsum(np.linalg.norm(np.diff(states, axis=0), axis=1))
-        apart = np.diff(along, prepend=0.0) > 0.0  # steps too short to change the distance are none
-        self._states = states[np.concatenate([[True], apart])]
-        self._along = np.concatenate([[0.0], along[apart]])
-        self.length = float(self._along[-1])
-        self.ends = self._states[[0, -1]]
-
-    def stretches(self, begins: np.ndarray, halves: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Middles (k, n) of stretches, by their begins and half lengths (k,), and their hulls.
-
-        Hulls (k, c, n) are the ends with all states between them; shorter ones repeat their end.
-        """
-        states, along = self._states, self._along
-        if len(states) == 1:
-            return states, states[None]
-        marks = begins[:, None] + halves[:, None] * (0.0, 1.0, 2.0)
-        rows = np.clip(np.searchsorted(along, marks, side="right") - 1, 0, len(along) - 2)
-        share = (marks - along[rows]) / (along[rows + 1] - along[rows])
-        along = states[rows] + share[..., None] * (states[rows + 1] - states[rows])
-        begins, middles, ends = np.moveaxis(along, 1, 0)
-        first, last = rows[:, 0] + 1, rows[:, 2]
-        between = first[:, None] + np.arange(max(0, int((last - first).max()) + 1))
-        inside = between <= last[:, None]
-        corners = np.where(inside[..., None], states[np.where(inside, between, 0)], ends[:, None])
-        return middles, np.concatenate([begins[:, None], corners, ends[:, None]], axis=1)

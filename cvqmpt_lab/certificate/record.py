@@ -23,6 +23,7 @@ from cvqmpt_lab.certificate.motion_check import DryRun
 from cvqmpt_lab.collision.carried import carried_pairs, reach_with
 from cvqmpt_lab.collision.exact import ROUNDING
 from cvqmpt_lab.collision.solids import obstacles_within, solids
+from cvqmpt_lab.geometry.polyline import distances_along
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import LeftOut
 from cvqmpt_lab.scene.scene import Scene
@@ -143,10 +144,9 @@ def _where(found: DryRun, at: float) -> str:
     """A place for people: state, and time or distance along."""
     if found.times is not None:
         return f"at {_time(found, at):.4f} s"
-    states, k = found.states[: int(at) + 2], int(at)
+    states = found.states[: int(at) + 2]
     with np.errstate(all="ignore"):
-        steps = np.linalg.norm(np.diff(states, axis=0), axis=1)
-        along = steps[:k].sum() + (at - k) * (steps[k] if k < len(steps) else 0.0)
+        along = float(np.interp(at, np.arange(len(states)), distances_along(states)))
     distance = f", {along:.4f} rad along" if math.isfinite(along) else ""
     return f"at state {at:.4g}{distance}"
 

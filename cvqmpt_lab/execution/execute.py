@@ -24,6 +24,7 @@ from cvqmpt_lab.execution.simulation import (
     Sample,
     Simulation,
 )
+from cvqmpt_lab.geometry.polyline import nearest_places
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
@@ -327,8 +328,8 @@ def _judged(
             (door,) = (name for name in samples[0].doors if name in problem.robot.joint_names)
             executed = np.column_stack([executed, [sample.doors[door] for sample in samples]])
             planned = np.column_stack([planned, np.zeros(len(planned))])
-        there = problem.robot.poses(executed)[:, :3, 3]
-        off = max(off, _off_polyline(problem.robot.poses(planned)[:, :3, 3], there))
+        hands, planned_hands = (problem.robot.poses(q)[:, :3, 3] for q in (executed, planned))
+        off = max(off, float(nearest_places(planned_hands, hands)[1].max()))
         for region in problem.constraint:
             x = displacements(problem.robot, region, executed)
             beyond = np.where(region.wide, excess(region, x), 0.0).max(axis=0)
@@ -356,12 +357,3 @@ def _judged(
         scene=scene,
         samples=tuple(world.samples),
     )
-
-
-def _off_polyline(points: np.ndarray, places: np.ndarray) -> float:
-    """Largest distance [m] of points `places` (k, 3) from the polyline `points` (m, 3)."""
-    steps = np.diff(points, axis=0)
-    squares = np.maximum((steps**2).sum(axis=1), 1e-18)
-    to = places[:, None] - points[:-1]
-    share = np.clip((to * steps).sum(axis=2) / squares, 0.0, 1.0)
-    return float(np.linalg.norm(to - share[..., None] * steps, axis=2).min(axis=1).max())

@@ -17,6 +17,7 @@ import numpy as np
 
 from cvqmpt_lab.base.errors import InvalidInputError, one_line
 from cvqmpt_lab.external.process import NoReply, PlannerProcess
+from cvqmpt_lab.geometry.polyline import cut, parts_within
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.search.planner_interface import (
@@ -174,18 +175,13 @@ def path_states(
     states = near_limits(given, robot, "states")
     if len(states) < 2:
         raise InvalidInputError("it returned one state: give (m, n), m at least 2")
-    steps = np.linalg.norm(np.diff(states, axis=0), axis=1)
-    parts = np.maximum(1, np.ceil(steps / longest_step)).astype(int)
+    parts = parts_within(states, longest_step)
     if parts.sum() >= most:
         raise InvalidInputError(
             f"it returned a path of {parts.sum() + 1} states, at most {longest_step:g} rad or m "
             f"apart; at most {most} are judged"
         )
-    dense = [
-        a + (b - a) * np.arange(k)[:, None] / k
-        for a, b, k in zip(states, states[1:], parts, strict=False)
-    ]
-    return np.concatenate([*dense, states[-1:]])
+    return cut(states, parts)
 
 
 @lru_cache(maxsize=32)

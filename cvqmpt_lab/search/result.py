@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from cvqmpt_lab.base.errors import InvalidInputError, require_kind, shown, whole_number
+from cvqmpt_lab.geometry.polyline import evenly_along, step_lengths
 from cvqmpt_lab.search.work import search_work
 
 
@@ -122,15 +123,11 @@ class JointPath:
     @cached_property
     def length(self) -> float:
         """Length of the path, `sum_i |q_(i+1) - q_i|` [rad]."""
-        return float(np.linalg.norm(np.diff(self.states, axis=0), axis=1).sum())
+        return float(step_lengths(self.states).sum())
 
     def spaced(self, spacing: float) -> np.ndarray:
         """States (k, n), k >= 2, evenly along the path at most `spacing` [rad] apart, with ends."""
-        along = np.concatenate(
-            [[0.0], np.cumsum(np.linalg.norm(np.diff(self.states, axis=0), axis=1))]
-        )
-        marks = np.linspace(0.0, along[-1], max(2, int(np.ceil(along[-1] / spacing)) + 1))
-        return np.stack([np.interp(marks, along, joint) for joint in self.states.T], axis=1)
+        return evenly_along(self.states, spacing)
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,6 +15,7 @@ import numpy as np
 
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.base.poses import pose
+from cvqmpt_lab.geometry.polyline import distances_along
 from cvqmpt_lab.planning.pipeline import Solution
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.kinematics import link_poses
@@ -31,7 +32,6 @@ from cvqmpt_lab.show.meshes import (
     hull_mesh,
     joined,
     shape_mesh,
-    travelled_along,
 )
 from cvqmpt_lab.tasks.solve import TaskSolution
 from cvqmpt_lab.tasks.task import PlannedPhase
@@ -223,7 +223,7 @@ def drawing_of_problem(
     states = problem.start[None] if path is None else path.states
     if path is not None and most_states is not None and len(states) > most_states:
         states = path.spaced(path.length / (most_states - 1))
-    travelled = travelled_along(states)
+    travelled = distances_along(states)
     return Drawing(
         f"{problem.name}: {problem.robot.name}, {verdict}",
         scene_bodies(problem.scene, hidden),
@@ -256,7 +256,7 @@ def _over(
     for k, goal in enumerate(problem.goals[:goals] if path is None else states[-1:]):
         yield from robot_bodies(problem, goal[None], colours["goal"], "goal", f"goals/{k}", opacity)
     if path is not None:
-        travelled = travelled_along(path)
+        travelled = distances_along(path)
         for k in range(1, ghosts + 1):
             q = path[np.searchsorted(travelled, travelled[-1] * k / (ghosts + 1))][None]
             yield from robot_bodies(problem, q, colours["ghost"], "on the way", f"way/{k}", 0.25)

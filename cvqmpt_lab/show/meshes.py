@@ -9,6 +9,7 @@ from scipy.spatial import ConvexHull
 
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegionChain
 from cvqmpt_lab.geometry.convex import prism_around
+from cvqmpt_lab.geometry.polyline import distances_along, states_at
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.scene.cells import blocks_of
 from cvqmpt_lab.scene.shapes import (
@@ -115,9 +116,9 @@ def beads(points: np.ndarray, radius: float = 0.008, spacing: float = 0.012) -> 
         radius: radius of the balls [m].
         spacing: distance between the balls [m].
     """
-    travelled = travelled_along(points)
+    travelled = distances_along(points)
     at = np.linspace(0.0, travelled[-1], 1 + int(travelled[-1] / spacing))
-    centres = np.stack([np.interp(at, travelled, points[:, axis]) for axis in range(3)], axis=1)
+    centres = states_at(points, travelled, at)
     return _copies(hull_mesh(radius * _sphere_points(24)), centres)
 
 
@@ -139,11 +140,6 @@ def cone(apex: np.ndarray, axis: np.ndarray, angle: float) -> Mesh:
     turn = np.linspace(0.0, 2.0 * np.pi, 32, endpoint=False)
     rim = apex + axis + np.stack([np.cos(turn), np.sin(turn)], axis=1) @ across
     return hull_mesh(np.vstack([apex, rim]))
-
-
-def travelled_along(points: np.ndarray) -> np.ndarray:
-    """Length (m,) of a polyline from its start to each of its points (m, d)."""
-    return np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))]
 
 
 def unit(vectors: np.ndarray) -> np.ndarray:

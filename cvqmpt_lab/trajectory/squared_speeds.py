@@ -23,6 +23,7 @@ import scipy.sparse as sparse
 from scipy.interpolate import BSpline
 
 from cvqmpt_lab.base.errors import InvalidInputError
+from cvqmpt_lab.geometry.polyline import distances_along, states_at
 from cvqmpt_lab.robot.dynamics import Dynamics
 from cvqmpt_lab.robot.robot import JointLimits
 
@@ -61,21 +62,19 @@ def smooth_curve(
         raise InvalidInputError(f"deviation {deviation}: give a distance above 0 [rad]")
     steps = np.diff(states, axis=0)
     lengths = np.linalg.norm(steps, axis=1)
-    marks = np.concatenate([[0.0], np.cumsum(lengths)])
+    marks = distances_along(states)
     turns = np.linalg.norm(np.diff(steps / lengths[:, None], axis=0), axis=1)
-
-    def polyline(s: np.ndarray) -> np.ndarray:
-        return np.stack([np.interp(s, marks, joint) for joint in states.T], axis=1)
 
     spacing, aim = min(widest, marks[-1] / spans), deviation
     for _ in range(refinements):
         knots = _knots(marks, turns, spacing, aim, spans)
         t = np.concatenate([np.repeat(knots[0], 3), knots, np.repeat(knots[-1], 3)])
-        spline = BSpline(t, polyline((t[1:-3] + t[2:-2] + t[3:-1]) / 3.0), 3)
+        averages = (t[1:-3] + t[2:-2] + t[3:-1]) / 3.0
+        spline = BSpline(t, states_at(states, marks, averages), 3)
         inside = np.arange(samples) / samples * np.diff(knots)[:, None]
         s = np.concatenate([(knots[:-1, None] + inside).ravel(), marks])
         # the distance at equal s is an upper bound of the distance between the two curves
-        measured = float(np.linalg.norm(spline(s) - polyline(s), axis=1).max())
+        measured = float(np.linalg.norm(spline(s) - states_at(states, marks, s), axis=1).max())
         if measured <= deviation:
             # grid points between knots: three parts a span, four for the short spans at corners
             steps = np.diff(knots)

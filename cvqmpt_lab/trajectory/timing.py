@@ -20,6 +20,7 @@ import numpy as np
 from scipy.interpolate import PPoly
 
 from cvqmpt_lab.base.errors import InvalidInputError
+from cvqmpt_lab.geometry.polyline import step_lengths
 from cvqmpt_lab.robot.dynamics import Dynamics
 from cvqmpt_lab.robot.robot import SLOW_SPEED, JointLimits
 from cvqmpt_lab.trajectory.squared_speeds import SmoothCurve, smooth_curve, squared_speeds
@@ -92,7 +93,7 @@ def _checked_waypoints(waypoints: np.ndarray) -> np.ndarray:
         raise InvalidInputError(
             f"waypoint {k} has {states[k, j]} at joint index {j}: give finite numbers"
         )
-    for k in np.flatnonzero(np.linalg.norm(np.diff(states, axis=0), axis=1) < 1e-9):
+    for k in np.flatnonzero(step_lengths(states) < 1e-9):
         raise InvalidInputError(f"waypoint {k + 1} repeats waypoint {k}: leave one of the two out")
     return states
 

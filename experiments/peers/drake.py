@@ -14,6 +14,7 @@ from cvqmpt_lab.base.poses import rigid
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.execution.mjcf import Body, bodies_of, unchecked_pairs
 from cvqmpt_lab.experiments.peers import rpy_box, upright_region, versions
+from cvqmpt_lab.geometry.polyline import states_at
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Scene
@@ -63,7 +64,7 @@ def _optimized(
     """
     corners = np.array([problem.start, through, problem.goals[0]])
     times = np.linspace(0.0, 2.0, count)
-    guess = np.stack([np.interp(times, range(3), column) for column in corners.T], axis=1)
+    guess = states_at(corners, np.arange(3.0), times)
     basis = drake.KinematicTrajectoryOptimization(problem.robot.dof, count).basis()
     spline = drake.BsplineTrajectory(basis, guess[:, :, None])
     both, fine = [world.upright, world.clear], np.linspace(0.0, 1.0, 400)[1:-1]

@@ -5,10 +5,8 @@ import pinocchio as pin
 import pytest
 from numba import njit
 from refusals import refused
-from scipy.spatial import ConvexHull
 
 from cvqmpt_lab.collision.motion_bounds import Sweep
-from cvqmpt_lab.geometry.convex import polytope_around_ball
 from cvqmpt_lab.robot.hulls import OVERLAP, hull_vertices
 from cvqmpt_lab.robot.kinematics import link_poses, sine_and_cosine
 from cvqmpt_lab.robot.load import load_robot, robot_from_source
@@ -128,9 +126,3 @@ def test_a_file_that_is_no_srdf_is_named(slider_arm_urdf, tmp_path):
     for text, pattern in (("<robot", "cannot read SRDF"), ("<a/>", "root <a>")):
         (tmp_path / "bad.srdf").write_text(text)
         refused(pattern, load_robot, slider_arm_urdf, "tool", srdf=tmp_path / "bad.srdf")
-
-
-def test_the_polytope_of_a_ball_contains_it_and_is_little_larger():
-    points = polytope_around_ball(0.2)
-    assert 0.2 <= -ConvexHull(points).equations[:, 3].max() <= 0.2001
-    assert np.linalg.norm(points, axis=1).max() < 0.2075

@@ -1,0 +1,104 @@
+"""Polylines through states (m, n) [rad or m]: lengths, places along them, cuts into pieces.
+
+A place is a fractional number of a state: 12.5 is in the middle between states 12 and 13.
+"""
+
+import numpy as np
+
+
+def step_lengths(states: np.ndarray) -> np.ndarray:
+    """Distances (m - 1,) between neighbouring states (m, n)."""
+    return np.linalg.norm(np.diff(states, axis=0), axis=1)
+
+
+def distances_along(states: np.ndarray) -> np.ndarray:
+    """Length of the polyline from its begin to each of the states (m, n), (m,)."""
+    return np.concatenate([[0.0], np.cumsum(step_lengths(states))])
+
+
+def states_at(states: np.ndarray, marks: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """States (k, n) at values (k,) of a parameter that has the values `marks` (m,) at states."""
+    return np.stack([np.interp(at, marks, column) for column in states.T], axis=1)
+
+
+def evenly_along(states: np.ndarray, spacing: float) -> np.ndarray:
+    """States (k, n), k >= 2, at even distances of at most `spacing` along a polyline, with ends."""
+    along = distances_along(states)
+    count = max(2, int(np.ceil(along[-1] / spacing)) + 1)
+    return states_at(states, along, np.linspace(0.0, along[-1], count))
+
+
+def states_between(states: np.ndarray, segment: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """States (..., n) at shares (...,) of segments: 0 is their begin, 1 their end."""
+    return states[segment] + share[..., None] * (states[segment + 1] - states[segment])
+
+
+def numbered_parts(counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Number all parts of segments that are cut into counts (m - 1,) parts.
+
+    Returns:
+        The segment of each part, and its number within the segment, from 0, (sum of counts,) each.
+    """
+    segment = np.repeat(np.arange(len(counts)), counts)
+    part = np.arange(len(segment)) - np.repeat(np.cumsum(counts) - counts, counts)
+    return segment, part
+
+
+def parts_within(states: np.ndarray, longest: float) -> np.ndarray:
+    """Least numbers (m - 1,) of even parts of the segments that are at most `longest`."""
+    return np.maximum(1, np.ceil(step_lengths(states) / longest)).astype(int)
+
+
+def cut(states: np.ndarray, counts: np.ndarray) -> np.ndarray:
+    """States (k, n) with each segment of states cut into counts (m - 1,) even parts."""
+    segment, part = numbered_parts(counts)
+    steps = np.diff(states, axis=0)
+    begins = states[segment] + steps[segment] * part[:, None] / counts[segment, None]
+    return np.concatenate([begins, states[-1:]])
+
+
+def nearest_places(states: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Places (k,) on a polyline that are nearest to points (k, n), and their distances (k,)."""
+    steps = np.diff(states, axis=0)
+    squared = np.maximum(np.einsum("mj,mj->m", steps, steps), np.finfo(float).tiny)
+    away = points[:, None] - states[:-1]
+    share = np.clip(np.einsum("kmj,mj->km", away, steps) / squared, 0.0, 1.0)
+    distances = np.linalg.norm(away - share[..., None] * steps, axis=2)
+    segment, rows = distances.argmin(axis=1), np.arange(len(points))
+    return segment + share[rows, segment], distances[rows, segment]
+
+
+class Polyline:
+    """Polyline by the distance along it; steps too short to change the distance are left out."""
+
+    def __init__(self, states: np.ndarray) -> None:
+        along = np.cumsum(step_lengths(states))
+        longer = np.diff(along, prepend=0.0) > 0.0
+        self._states = states[np.concatenate([[True], longer])]
+        self._along = np.concatenate([[0.0], along[longer]])
+        self.length = float(self._along[-1])
+        self.ends = self._states[[0, -1]]
+
+    def stretches(self, begins: np.ndarray, halves: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Middles and corners of stretches of the polyline.
+
+        Args:
+            begins: distances along it where the stretches begin (k,).
+            halves: half lengths of the stretches (k,).
+
+        Returns:
+            Middles (k, n), and ends with all states between them (k, c, n); stretches with fewer
+            states repeat their end.
+        """
+        states, along = self._states, self._along
+        if len(states) == 1:
+            return states, states[None]
+        marks = begins[:, None] + halves[:, None] * (0.0, 1.0, 2.0)
+        rows = np.clip(np.searchsorted(along, marks, side="right") - 1, 0, len(along) - 2)
+        share = (marks - along[rows]) / (along[rows + 1] - along[rows])
+        begins, middles, ends = np.moveaxis(states_between(states, rows, share), 1, 0)
+        first, last = rows[:, 0] + 1, rows[:, 2]
+        between = first[:, None] + np.arange(max(0, int((last - first).max()) + 1))
+        inside = between <= last[:, None]
+        corners = np.where(inside[..., None], states[np.where(inside, between, 0)], ends[:, None])
+        return middles, np.concatenate([begins[:, None], corners, ends[:, None]], axis=1)
