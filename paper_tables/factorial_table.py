@@ -25,7 +25,7 @@ from cvqmpt_lab.paper_tables.statements import PublishedValue
 from cvqmpt_lab.paper_tables.table_engine import Column, SuiteTable
 from cvqmpt_lab.results.row import ResultRow
 from cvqmpt_lab.results.statistics import Interval
-from cvqmpt_lab.vqmpt.sampler_choice import CHOICES, NAMED
+from cvqmpt_lab.vqmpt.sampler_choice import CHOICES, NAMED_SAMPLERS
 
 PREDICTORS = (  # in their order in the table
     *("uniform", "nearest-lines", "transformer-lines"),
@@ -76,7 +76,7 @@ NOTES = (
     "By name: "
     + "; ".join(
         f"{name} is {', '.join(f'{value}' for value in asdict(choice).values())}"
-        for name, choice in NAMED.items()
+        for name, choice in NAMED_SAMPLERS.items()
     )
     + ".",
 )

@@ -1,6 +1,6 @@
 """Controls: each differs from a planner in one part, to measure what this part contributes.
 
-They register themselves, see `planning.planners`.
+`planning.planners` lists them.
 """
 
 from functools import partial
@@ -61,14 +61,16 @@ def planner_of(name: str) -> Method | None:
     return product(name, choice, another_scene()) if choice.cloud == "other-cloud" else None
 
 
-CONTROLS = (
-    Method.simple("guided-birrt", predict=guided),
-    # three sets of random nodes show how much results vary between roadmaps
-    *(
-        roadmap_planner(f"roadmap-uniform-{draw}", partial(spread_nodes, draw=draw))
-        for draw in range(3)
-    ),
-    on_dictionary("roadmap-wrong-scene", costs=other_costs),
-    on_dictionary("roadmap-no-scene", costs=no_costs),
-    on_dictionary("roadmap-true-edges", costs=no_costs, oracle=True),
-)
+def controls() -> list[Method]:
+    """Return the controls."""
+    return [
+        Method.simple("guided-birrt", predict=guided),
+        # three sets of random nodes show how much results vary between roadmaps
+        *(
+            roadmap_planner(f"roadmap-uniform-{draw}", partial(spread_nodes, draw=draw))
+            for draw in range(3)
+        ),
+        on_dictionary("roadmap-wrong-scene", costs=other_costs),
+        on_dictionary("roadmap-no-scene", costs=no_costs),
+        on_dictionary("roadmap-true-edges", costs=no_costs, oracle=True),
+    ]

@@ -1,7 +1,7 @@
 """Planners by name: those of the paper's tables, ours, and controls.
 
 A control differs from a planner in one part, to measure what this part contributes. Modules in
-`SOURCES` register planners of their own: this file does not know learned samplers.
+`PLANNER_MODULES` register planners of their own: this file does not know learned samplers.
 """
 
 import math
@@ -24,11 +24,11 @@ from cvqmpt_lab.search.method import Method
 from cvqmpt_lab.search.planner_interface import Stages
 from cvqmpt_lab.search.portfolio import roadmap_planner, spread_nodes
 
-SOURCES = tuple(
+PLANNER_MODULES = tuple(
     import_module(name) for name in ("cvqmpt_lab.vqmpt.planners", "cvqmpt_lab.benchmarks.ablations")
 )
-"""Each may have `PLANNERS`, `CONTROLS` and `UNSHIPPED`, which are tuples of methods (the last ones
-need weights that are not shipped), and a function `planner_of(name)` for names of its own."""
+"""Modules that add planners: functions `planners()`, `controls()` and `unshipped_planners()` return
+lists of methods, where a module has them; `planner_of(name)` makes one of a composed name."""
 
 
 def _ompl(name: str, manifold: str, kpiece: bool = False) -> Method:
@@ -44,9 +44,9 @@ def _by_name(methods: Iterable[Method]) -> dict[str, Method]:
     return {method.name: method for method in methods}
 
 
-def _registered(table: str) -> list[Method]:
-    """Methods of a table's name in all of `SOURCES`."""
-    return [method for source in SOURCES for method in getattr(source, table, ())]
+def _registered(function: str) -> list[Method]:
+    """Return the methods of all `PLANNER_MODULES` that have a function of this name."""
+    return [method for source in PLANNER_MODULES for method in getattr(source, function, list)()]
 
 
 PLANNERS = _by_name(
@@ -60,11 +60,11 @@ PLANNERS = _by_name(
         _ompl("tb-rrt", "tangent-bundle"),
         _ompl("ompl-bkpiece", "projected", kpiece=True),
         roadmap_planner("roadmap", spread_nodes),
-        *_registered("PLANNERS"),
+        *_registered("planners"),
     )
 )
-CONTROLS = _by_name(_registered("CONTROLS"))
-UNSHIPPED = _by_name(_registered("UNSHIPPED"))
+CONTROLS = _by_name(_registered("controls"))
+UNSHIPPED = _by_name(_registered("unshipped_planners"))
 
 # names that other libraries have for planners, and ours of that kind
 _NAMES_ELSEWHERE = {
@@ -104,8 +104,8 @@ def planner_named(name: str, model: str | None = None, reach: float | None = Non
 
 
 def _composed(name: str) -> Method | None:
-    """The planner that one of `SOURCES` makes of a name, or None."""
-    for source in SOURCES:
+    """The planner that one of `PLANNER_MODULES` makes of a name, or None."""
+    for source in PLANNER_MODULES:
         found = source.planner_of(name)
         if found is not None:
             return found

@@ -1,7 +1,7 @@
-"""Predictors of a learned sampler: codes, or ways from the start to goals, of a query.
+"""Predictors of a learned sampler: codes of a query, or polylines from its start to goals.
 
-The scene transformer and the authors' architecture predict codes. The others are controls, which
-say what a part of a prediction is worth, and bounds.
+The scene transformer and the authors' architecture predict codes. The other predictors are
+ablations, which replace a part of the prediction, and bounds.
 """
 
 from collections.abc import Callable
@@ -12,20 +12,20 @@ import numpy as np
 from cvqmpt_lab.search.anytime import short_path, unconstrained_path
 from cvqmpt_lab.search.planner_interface import Observation, Proposal, Query
 from cvqmpt_lab.search.result import Timings
-from cvqmpt_lab.vqmpt.scene_predictor import SequencePredictor
+from cvqmpt_lab.vqmpt.sequence_predictor import SequencePredictor
 
 
 @dataclass(frozen=True, eq=False)
 class CodeProposal(Proposal):
-    """A proposal that remembers the codes it is made of."""
+    """A proposal with the codes that its distribution is made of."""
 
     codes: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.int64))  # (c,)
     goals: np.ndarray = field(default_factory=lambda: np.empty((0, 0)))  # (k, n) [rad or m]
-    # from the start to each goal (s, n) [rad or m]: over the nodes of a sequence, or a path
-    ways: tuple[np.ndarray, ...] = ()
+    # (s, n) [rad or m] each, from the start to a goal: nodes of a sequence, or states of a path
+    polylines: tuple[np.ndarray, ...] = ()
 
 
-# proposes codes, and uniform samples until these are decoded
+# predicts codes; the distribution is uniform until the codes are decoded
 CodePredictor = Callable[[Query, Observation], CodeProposal]
 
 
@@ -37,15 +37,15 @@ def network_codes(
     observation: Observation,
     most_goals: int = 3,
 ) -> CodeProposal:
-    """Codes of the sequences to the cheapest goals, by beam search (K = 3).
+    """Predict sequences of codes to the cheapest goals, by beam search (K = 3).
 
     Args:
         predictor: a sequence model.
-        all_beams: take every hypothesis of the beam, not only the likeliest.
-        nodes: (N, n), a configuration for each code [rad or m].
+        all_beams: use all hypotheses of the beam, not only the likeliest.
+        nodes: (N, n) [rad or m], a configuration for each code.
         query: start and goals.
         observation: the cloud.
-        most_goals: that the network is asked about; the search gets them all.
+        most_goals: maximum number of goals for which sequences are predicted; the search gets all.
     """
     assert observation.cloud is not None
     began = query.deadline.seconds
@@ -54,29 +54,36 @@ def network_codes(
     goals = predictor.by_cost(scene, query.start, query.goals)[:most_goals]
     beams = predictor.hypotheses(scene, query.start, goals, every=all_beams)
     most = None if all_beams else 1
-    by_goal = [
-        (sequence, goal)
-        for beam, goal in zip(beams, goals, strict=True)
-        for sequence in beam[:most]
-        if sequence.finished
-    ]
-    found = [sequence for sequence, _ in by_goal]
-    ways = tuple(
-        np.vstack([query.start, nodes[list(sequence.codes)], goal]) for sequence, goal in by_goal
-    )
-    listed = [code for sequence in found for code in sequence.codes]
+    codes: list[int] = []
+    polylines = []
+    for beam, goal in zip(beams, goals, strict=True):
+        for sequence in beam[:most]:
+            if sequence.finished:
+                codes += sequence.codes
+                polylines.append(np.vstack([query.start, nodes[list(sequence.codes)], goal]))
     if predictor.each_code_once:
-        listed = list(dict.fromkeys(listed))
-    detail = f"{len(listed)} codes of {len(found)} sequences to {len(goals)} goals"
-    timings = Timings(encode=encoded - began, predict=query.deadline.seconds - encoded)
-    codes = np.array(listed, dtype=np.int64)
-    return CodeProposal(query.uniform, timings, detail, codes=codes, goals=goals, ways=ways)
+        codes = list(dict.fromkeys(codes))
+    return CodeProposal(
+        query.uniform,
+        Timings(encode=encoded - began, predict=query.deadline.seconds - encoded),
+        f"{len(codes)} codes of {len(polylines)} sequences to {len(goals)} goals",
+        codes=np.array(codes, dtype=np.int64),
+        goals=goals,
+        polylines=tuple(polylines),
+    )
 
 
 def random_codes(
     codes: int, query: Query, observation: Observation, count: int = 12
 ) -> CodeProposal:
-    """Random codes of the dictionary: ablation baseline; about as many as predictors give."""
+    """Draw random codes of the dictionary, as an ablation of the prediction.
+
+    Args:
+        codes: number of codes of the dictionary.
+        query: start and goals.
+        observation: not used.
+        count: number of codes to draw, about as many as predictors give.
+    """
     drawn = query.rng.choice(codes, min(count, codes), replace=False)
     detail, goals = f"{len(drawn)} codes at random", query.nearest_goals(3)
     return CodeProposal(query.uniform, detail=detail, codes=drawn, goals=goals)
@@ -88,13 +95,13 @@ def oracle_codes(
     observation: Observation,
     spacing: float = 0.2,
 ) -> CodeProposal:
-    """Codes of an unconstrained path of the same problem, planned first: an upper bound.
+    """Plan an unconstrained path of the same problem and return its codes: an upper bound.
 
     Args:
-        codes_of: gives the codes (b,) of configurations (b, n) along a path.
-        query: start and goals; planning the path counts.
+        codes_of: returns the codes (b,) of configurations (b, n).
+        query: start and goals; its budget includes the planning of the path.
         observation: not used.
-        spacing: between the waypoints whose codes are taken [rad].
+        spacing: distance between the waypoints that are encoded [rad].
     """
     began = query.deadline.seconds
     path, plan = unconstrained_path(query)
@@ -104,39 +111,45 @@ def oracle_codes(
     codes = np.unique(codes_of(path.spaced(spacing)))
     timings = Timings(predict=query.deadline.seconds - began)
     detail = f"{len(codes)} codes of an unconstrained path"
-    ways, goals = (path.states,), path.states[-1:]
-    return replace(found, timings=timings, detail=detail, codes=codes, goals=goals, ways=ways)
+    goals = path.states[-1:]
+    return replace(
+        found, timings=timings, detail=detail, codes=codes, goals=goals, polylines=(path.states,)
+    )
 
 
-def solved_way(query: Query, observation: Observation, tries: int = 6) -> CodeProposal:
-    """The shortest of six solutions of the problem: a bound. Its time counts, its work does not."""
-    aside, found = query.space.again(), CodeProposal(query.uniform)
+def solved_path(query: Query, observation: Observation, tries: int = 6) -> CodeProposal:
+    """Solve the problem `tries` times and return the shortest path: a bound.
+
+    The time of these searches counts, their work (checks and projections) does not.
+    """
+    space = query.space.again()
     paths = []
     for _ in range(tries):
         if query.deadline.spent():
             break
-        paths.append(short_path(aside, query, query.deadline.rest())[0])
-    solved = [path for path in paths if path is not None]
-    if not solved:
-        return found
-    states = min(solved, key=lambda path: path.length).states
-    return replace(found, goals=states[-1:], ways=(states,))
+        path, _ = short_path(space, query, query.deadline.rest())
+        if path is not None:
+            paths.append(path)
+    if not paths:
+        return CodeProposal(query.uniform)
+    states = min(paths, key=lambda path: path.length).states
+    return CodeProposal(query.uniform, goals=states[-1:], polylines=(states,))
 
 
 def straight_lines(query: Query, goals: np.ndarray) -> CodeProposal:
-    """Straight lines from the start to goals (k, n); nothing is checked."""
-    ways = tuple(np.stack([query.start, goal]) for goal in goals)
-    return CodeProposal(query.uniform, goals=goals, ways=ways)
+    """Return straight lines from the start to goals (k, n); collisions are not checked."""
+    lines = tuple(np.stack([query.start, goal]) for goal in goals)
+    return CodeProposal(query.uniform, goals=goals, polylines=lines)
 
 
 def lines_to_nearest_goals(query: Query, observation: Observation) -> CodeProposal:
-    """Straight lines to the three nearest goals."""
+    """Return straight lines to the three nearest goals."""
     return straight_lines(query, query.nearest_goals(3))
 
 
 def lines_to_predicted_goals(
     predict: CodePredictor, query: Query, observation: Observation
 ) -> CodeProposal:
-    """Straight lines to the goals that a predictor chooses: what its choice of goals is worth."""
+    """Return straight lines to the goals that a predictor chooses: ablation of its codes."""
     found = predict(query, observation)
     return replace(straight_lines(query, found.goals), timings=found.timings)

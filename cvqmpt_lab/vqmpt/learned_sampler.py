@@ -1,12 +1,12 @@
-"""The learned sampler: predicted codes become the distribution that the search samples from.
+"""The learned sampler: the distribution that the search samples from, made of predicted codes.
 
-With predicted codes h_1 ... h_c and the goals q_1 ... q_k of the query, samples are drawn from
+With predicted codes h_1 ... h_c and goals q_1 ... q_k, samples are drawn from the mixture
 
     q ~ 1 / (c + k) (sum_i N(mu(z_hi), Sigma(z_hi)) + sum_j N(q_j, S)),   S^(1/2) = 0.1 diag(range),
 
-and a uniform share (paper, eqn. sample_dist; only the published code has the goals). Weights,
-dictionaries and roadmaps are loaded once per process, before any clock starts. A model is a name or
-folder as `weights.resolve_model` takes it.
+and, with a given probability, uniformly (paper, eqn. sample_dist; the goals' Gaussians are only in
+the published code). Weights, dictionaries and roadmaps are loaded once in a process, before the
+time of planning is measured. A model is given by name or folder, see `weights.resolve_model`.
 """
 
 from collections.abc import Callable
@@ -40,7 +40,7 @@ from cvqmpt_lab.vqmpt.code_predictors import (
     network_codes,
     oracle_codes,
     random_codes,
-    solved_way,
+    solved_path,
 )
 from cvqmpt_lab.vqmpt.codebook import (
     Codebook,
@@ -52,7 +52,7 @@ from cvqmpt_lab.vqmpt.codebook import (
 from cvqmpt_lab.vqmpt.latent_update import LatentOptimizer, LatentSettings
 from cvqmpt_lab.vqmpt.mpnet_rollouts import MPNetNetwork, MPNetRollouts
 from cvqmpt_lab.vqmpt.sampler_choice import SamplerChoice
-from cvqmpt_lab.vqmpt.scene_predictor import (
+from cvqmpt_lab.vqmpt.sequence_predictor import (
     PublishedPredictor,
     SceneTransformerPredictor,
     SequencePredictor,
@@ -75,28 +75,30 @@ class LearnedSampler:
 
     predict: CodePredictor
     choice: SamplerChoice
-    name: str  # what result rows call the distribution
+    name: str  # name of the distribution in result rows
     codebook: Codebook
     robot: Robot
-    noise: np.ndarray  # (codes, n) standard normal: where in its Gaussian each code's node lies
-    width: float = 1.1  # [rad] least standard deviation of wide Gaussians, from tuning
-    smallest_std: float = 1e-4  # [rad] in any direction, so that covariances stay positive definite
-    goal_std: float = 0.1  # of goals' Gaussians, share of each joint's range (published code)
-    drift: float = 1.5  # [rad] that a projected mean may move; others are left out
-    # gives the codes (b,) of configurations (b, n) along a path
-    read: Callable[[np.ndarray], np.ndarray] | None = None
-    # [rad] between states of a path whose codes are read: 1 % of the Panda's space (published data)
+    noise: np.ndarray  # (codes, n) standard normal, from which the codes' nodes are computed
+    width: float = 1.1  # [rad] minimum standard deviation of wide Gaussians, tuned
+    smallest_std: float = 1e-4  # [rad] minimum in any direction: covariances are positive definite
+    goal_std: float = (
+        0.1  # standard deviation around goals, share of each joint's range (published)
+    )
+    drift: float = 1.5  # [rad] maximum distance from a mean to its projection
+    # returns the codes (b,) of configurations (b, n)
+    encode: Callable[[np.ndarray], np.ndarray] | None = None
+    # [rad] distance of encoded states along a path: 1 % of the Panda's joint space (published data)
     waypoint_spacing: float = 0.13
-    along_spacing: float = 0.4  # [rad] between Gaussians along a sequence, from tuning
+    along_spacing: float = 0.4  # [rad] distance of Gaussians along a polyline, tuned
 
     def gaussians(
         self, codes: np.ndarray, z: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Means (c, n) [rad] and covariances (c, n, n) [rad^2] of codes.
+        """Return means (c, n) [rad] and covariances (c, n, n) [rad^2] of codes.
 
         Args:
-            codes: (c,) rows of the dictionary.
-            z: (c, code_dim), the codes' vectors after an update; None for the dictionary's.
+            codes: (c,), rows of the dictionary.
+            z: (c, code_dim), updated vectors of the codes; None for those of the dictionary.
         """
         z = self.codebook.vectors[codes] if z is None else z
         means, covariances = self.codebook.gaussians(z)
@@ -109,82 +111,93 @@ class LearnedSampler:
     def mixture(
         self, query: Query, goals: np.ndarray, means: np.ndarray, covariances: np.ndarray
     ) -> GaussianMixture:
-        """The mixture of these Gaussians and one around each of goals (k, n)."""
-        spread = np.diag((self.goal_std * (self.robot.upper - self.robot.lower)) ** 2)
-        around = np.broadcast_to(spread, (len(goals), *spread.shape))
-        every = np.concatenate([means, goals]), np.concatenate([covariances, around])
-        mixed = GaussianMixture.equal(*every, query.uniform, self.choice.uniform_share, self.name)
+        """Return the mixture of these Gaussians and of Gaussians around goals.
+
+        Args:
+            query: the query, with its uniform distribution.
+            goals: (k, n) [rad or m].
+            means: (c, n) [rad or m].
+            covariances: (c, n, n), squared units.
+        """
+        goal_covariance = np.diag((self.goal_std * (self.robot.upper - self.robot.lower)) ** 2)
+        goal_covariances = np.broadcast_to(goal_covariance, (len(goals), *goal_covariance.shape))
+        mixed = GaussianMixture.equal(
+            np.concatenate([means, goals]),
+            np.concatenate([covariances, goal_covariances]),
+            query.uniform,
+            self.choice.uniform_share,
+            self.name,
+        )
         assert isinstance(mixed, GaussianMixture)
         return mixed
 
     def propose(self, query: Query, observation: Observation) -> CodeProposal:
-        """The sampling distribution of predicted codes before any update: CVQ-MPT.
+        """Return the sampling distribution of predicted codes, before any update: CVQ-MPT.
 
-        If no code was predicted: uniform samples, and a note of this fallback.
+        If no code was predicted, it is uniform, and the proposal's `fallback` says so.
         """
         found = self.predict(query, observation)
-        if len(found.codes) == 0 and not found.ways:
+        if len(found.codes) == 0 and not found.polylines:
             return replace(found, fallback="no code sequence reached a goal")
         if self.choice.gaussians == "along":
-            return replace(found, distribution=self.along(query, found.ways))
+            return replace(found, distribution=self.along(query, found.polylines))
         if self.choice.reading == "every-waypoint":
             found = self.every_waypoint(query, found)
         mixture = self.mixture(query, found.goals, *self.gaussians(found.codes))
         return replace(found, distribution=mixture)
 
-    def along(self, query: Query, ways: tuple[np.ndarray, ...]) -> SamplingDistribution:
-        """Gaussians N(q, std^2 I) of equal weight at states q along polylines (s, n)."""
-        means = np.concatenate([JointPath(way).spaced(self.along_spacing) for way in ways])
+    def along(self, query: Query, polylines: tuple[np.ndarray, ...]) -> SamplingDistribution:
+        """Return Gaussians N(q, std^2 I) of equal weight at states q along polylines (s, n)."""
+        means = np.concatenate([JointPath(line).spaced(self.along_spacing) for line in polylines])
         covariance = self.choice.std**2 * np.eye(means.shape[1])
         share = self.choice.uniform_share
         return GaussianMixture.equal(means, covariance, query.uniform, share, self.name)
 
     def every_waypoint(self, query: Query, found: CodeProposal) -> CodeProposal:
-        """Codes of the states along each sequence's nodes, where runs of equal codes are one.
+        """Replace codes by those of all states along the polylines; repeated codes are left out.
 
-        The authors encode every waypoint of interpolated paths, so that their sequences are read
-        off at this spacing; ours are trained on one code a node.
+        The authors encode every waypoint of interpolated paths, so their sequences have codes at
+        this spacing. Ours are trained with one code for each node.
         """
-        assert self.read is not None
-        began, listed = query.deadline.seconds, []
-        for way in found.ways:
-            codes = self.read(JointPath(way).spaced(self.waypoint_spacing))
+        assert self.encode is not None
+        began, codes_of_lines = query.deadline.seconds, []
+        for line in found.polylines:
+            codes = self.encode(JointPath(line).spaced(self.waypoint_spacing))
             changes = np.flatnonzero(np.diff(codes)) + 1
-            listed.append(codes[np.concatenate([[0], changes])])
-        codes = np.concatenate(listed)
+            codes_of_lines.append(codes[np.concatenate([[0], changes])])
+        codes = np.concatenate(codes_of_lines)
         predict = (found.timings.predict or 0.0) + query.deadline.seconds - began
-        return replace(
-            found,
-            codes=codes,
-            timings=replace(found.timings, predict=predict),
-            detail=", ".join(filter(None, (found.detail, f"{len(codes)} of every waypoint"))),
-        )
+        detail = f"{len(codes)} of every waypoint"
+        if found.detail:
+            detail = f"{found.detail}, {detail}"
+        timings = replace(found.timings, predict=predict)
+        return replace(found, codes=codes, timings=timings, detail=detail)
 
-    def moved(self, optimizer: LatentOptimizer, query: Query, proposal: Proposal) -> Proposal:
-        """Codes moved by z <- z - eta dE[F^T F]/dz (paper, Algorithm 2), then decoded.
+    def optimized(self, optimizer: LatentOptimizer, query: Query, proposal: Proposal) -> Proposal:
+        """Move the codes by z <- z - eta dE[F^T F]/dz (paper, Algorithm 2), and decode them.
 
-        Without codes or constraint: the proposal itself.
+        Without codes or without constraint, the proposal is returned unchanged.
         """
         assert isinstance(proposal, CodeProposal)
         constraint = query.space.constraint
         if constraint is None or query.space.dim == 0 or len(proposal.codes) == 0:
             return proposal
         vectors = self.codebook.vectors[proposal.codes]
-        moved = optimizer.optimize(vectors, constraint, query.rng)
-        before, after = moved.g_before.mean(), moved.g_after.mean()
-        gaussians = self.gaussians(proposal.codes, moved.z)
+        result = optimizer.optimize(vectors, constraint, query.rng)
+        before, after = result.g_before.mean(), result.g_after.mean()
+        gaussians = self.gaussians(proposal.codes, result.z)
         return replace(
             proposal,
             distribution=self.mixture(query, proposal.goals, *gaussians),
-            timings=replace(proposal.timings, optimize=moved.seconds),
-            detail=f"{proposal.detail}, G {before:.3g} to {after:.3g}, {moved.kept.sum()} kept",
+            timings=replace(proposal.timings, optimize=result.seconds),
+            detail=f"{proposal.detail}, G {before:.3g} to {after:.3g}, {result.kept.sum()} kept",
         )
 
     def projected(self, query: Query, proposal: Proposal) -> Proposal:
-        """Means projected by q <- q - J^+ F(q) (paper, Algorithm 1), with unchanged covariances.
+        """Project the means by q <- q - J^+ F(q) (paper, Algorithm 1); covariances are unchanged.
 
-        Codes whose mean does not reach the manifold are left out. Without codes or constraint: the
-        proposal itself.
+        Codes whose mean cannot be projected, or moves by more than `drift`, are left out. Without
+        codes or without constraint, the proposal is returned unchanged.
         """
         assert isinstance(proposal, CodeProposal)
         if query.space.dim == 0 or len(proposal.codes) == 0:
@@ -194,7 +207,7 @@ class LearnedSampler:
         near = np.zeros(len(means), dtype=bool)
         for row, mean in enumerate(means):
             q = mean.copy()
-            # a mean that moves far stands for another part of the space
+            # a mean that moves far no longer represents the part of the space that was predicted
             near[row] = query.space.project(q) and np.linalg.norm(q - mean) <= self.drift
             means[row] = q
         mixture = self.mixture(query, proposal.goals, means[near], covariances[near])
@@ -209,20 +222,20 @@ class LearnedSampler:
 
 @lru_cache(maxsize=4)
 def model_of(model: str, architecture: str = VQ_MPT) -> StoredModel:
-    """Weights without the transformer's arrays, which are not needed once it is built."""
+    """Read weights without the scene transformer's arrays, which `sequence_predictor` reads."""
     folder = resolve_model(model, architecture)
     return read_model(folder, architecture=architecture, left_out=TRANSFORMER)
 
 
 @lru_cache(maxsize=8)
 def codebook_of(model: str, robot: Robot) -> Codebook:
-    """The dictionary's codes as Gaussians."""
+    """Return the dictionary of a model."""
     return Codebook(model_of(model), robot)
 
 
 @lru_cache(maxsize=8)
 def dictionary_roadmap(model: str, robot: Robot) -> Roadmap:
-    """A roadmap whose nodes are one configuration drawn from each code's Gaussian."""
+    """Build the dictionary's roadmap; its nodes are one configuration from each code's Gaussian."""
     stored = model_of(model)
     stored.robot.require_same(robot_signature(robot))
     return Roadmap.of(dictionary_nodes(stored, robot))
@@ -230,19 +243,19 @@ def dictionary_roadmap(model: str, robot: Robot) -> Roadmap:
 
 @lru_cache(maxsize=8)
 def free_dictionary(model: str, robot: Robot, attachments: tuple[Attachment, ...] = ()) -> Roadmap:
-    """The same without what collides with itself."""
+    """Build the dictionary's roadmap without nodes and edges in self-collision."""
     return linked_roadmap(robot, attachments, dictionary_roadmap(model, robot).nodes)
 
 
 @lru_cache(maxsize=4)
 def observer(points: int | None = None) -> Observer:
-    """Renders clouds of that many points, or as many as point encoders were trained on."""
+    """Make an observer whose clouds have this number of points; None: as many as in training."""
     return Observer(CameraSettings.like_training(points) if points else None)
 
 
 @lru_cache(maxsize=4)
 def sequence_predictor(model: str, robot: Robot, published: bool) -> SequencePredictor:
-    """The scene transformer of a model, or its sequence model of the authors' architecture."""
+    """Load a model's scene transformer, or its sequence model of the authors' architecture."""
     if published:
         return PublishedPredictor(model_of(model), robot)
     return SceneTransformerPredictor(load_vq_mpt(robot, model), robot)
@@ -250,7 +263,7 @@ def sequence_predictor(model: str, robot: Robot, published: bool) -> SequencePre
 
 @lru_cache(maxsize=4)
 def mpnet_network(model: str) -> MPNetNetwork:
-    """A trained MPNet."""
+    """Load a trained MPNet."""
     return MPNetNetwork(model_of(model, MPNET))
 
 
@@ -261,29 +274,30 @@ def learned(
     choice: SamplerChoice,
     other_scene: Scene | None = None,
 ) -> Stages:
-    """The stages of a learned sampler.
+    """Return the stages of a planner with a learned sampler.
 
     Args:
-        robot: that the weights must be of.
+        robot: robot of the problem and of the weights.
         model: name or folder of the weights.
-        name: what result rows call the distribution.
+        name: name of the distribution in result rows.
         choice: predictor, Gaussians, update, cloud and uniform share.
-        other_scene: whose cloud the network gets where the cloud is ``other-cloud``.
+        other_scene: scene whose cloud the network gets if the choice is ``other-cloud``.
 
     Raises:
-        InvalidInputError: the weights lack what the predictor needs, or are another robot's.
+        InvalidInputError: the weights lack a part that the predictor needs, or are for another
+            robot.
     """
     search = BiRRT(reach=choice.reach, draws=choice.draws.removesuffix("-draws"))
     apart = choice.goals == "goals-apart"
     if choice.predictor == "uniform":
         return Stages(uniform, search, goals_apart=apart)
     codebook = codebook_of(model, robot)
-    read = partial(codes_of, model_of(model), robot)
+    encode = partial(codes_of, model_of(model), robot)
     predictors: dict[str, CodePredictor] = {
         "random": partial(random_codes, len(codebook.vectors)),
-        "solved": solved_way,
+        "solved": solved_path,
         "nearest-lines": lines_to_nearest_goals,
-        "oracle": partial(oracle_codes, read),
+        "oracle": partial(oracle_codes, encode),
     }
     predict = predictors.get(choice.predictor)
     observe: Callable[[Scene], np.ndarray] | None = None
@@ -300,33 +314,37 @@ def learned(
         elif other_scene is not None:
             observe = partial(_cloud_of, other_scene)
         else:
-            raise InvalidInputError(f"{name}: other-cloud needs a scene whose cloud is taken")
+            raise InvalidInputError(
+                f"{name}: other-cloud needs another scene; choose own-cloud or no-cloud"
+            )
     noise = code_noise(len(codebook.vectors), robot.dof)
-    sampler = LearnedSampler(predict, choice, name, codebook, robot, noise, read=read)
-    updates: dict[str, Callable[[Query, Proposal], Proposal] | None] = {
-        "none": None,
-        "algorithm-2": partial(sampler.moved, LatentOptimizer(codebook, LatentSettings())),
-        "printed": partial(
-            sampler.moved,
-            LatentOptimizer(codebook, LatentSettings(method="gradient", put_back=False)),
-        ),
-        "projected": sampler.projected,
-    }
-    return Stages(sampler.propose, search, observe, updates[choice.update], goals_apart=apart)
+    sampler = LearnedSampler(predict, choice, name, codebook, robot, noise, encode=encode)
+    update: Callable[[Query, Proposal], Proposal] | None = None
+    if choice.update == "projected":
+        update = sampler.projected
+    elif choice.update == "algorithm-2":
+        update = partial(sampler.optimized, LatentOptimizer(codebook, LatentSettings()))
+    elif choice.update == "printed":
+        settings = LatentSettings(method="gradient", put_back=False)
+        update = partial(sampler.optimized, LatentOptimizer(codebook, settings))
+    return Stages(sampler.propose, search, observe, update, goals_apart=apart)
 
 
 def _no_points(scene: Scene) -> np.ndarray:
-    """No points (0, 3), whatever the scene: a control."""
+    """Return no points (0, 3), as an ablation of the cloud."""
     return np.empty((0, 3))
 
 
 def _cloud_of(other_scene: Scene, scene: Scene) -> np.ndarray:
-    """The cloud (4096, 3) [m] of another scene: a control."""
+    """Return the cloud (4096, 3) [m] of another scene, as an ablation of the cloud."""
     return observer(4096)(other_scene)
 
 
 def mpnet(robot: Robot, model: str, bridged: bool = False) -> Stages:
-    """MPNet's rollouts, 50 as published; bridged: 10, connected with bidirectional RRT."""
+    """Return the stages of MPNet.
+
+    bridged: connect sides that did not meet by tree growth, with 10 rollouts instead of 50.
+    """
     network = mpnet_network(model)
     rollouts = MPNetRollouts(network, bridged, rollouts=10) if bridged else MPNetRollouts(network)
     return Stages(predict=rollouts, observe=observer(network.config.n_points))

@@ -1,38 +1,37 @@
-"""A learned sampler as a product of choices: predictor of codes, their Gaussians, their update.
+"""A learned sampler as a product of choices: predictor of codes, Gaussians, update and others.
 
     predictor   transformer: the scene transformer; published: the authors' architecture;
-                random: any codes; uniform: none, samples anywhere between the joint limits;
-                oracle: codes of a path that ignores the constraint; solved: those of the shortest
-                of six solutions, a bound;
-                transformer-lines: straight lines to the transformer's goals; nearest-lines: to the
-                three nearest goals
-    Gaussians   decoded: g(z) = N(mu, Sigma) as the decoder has them;
-                wide: around each code's node of the roadmap, no direction narrower than 1.1 rad;
+                random: random codes; uniform: no codes, samples anywhere within the joint limits;
+                oracle: codes of a path that ignores the constraint; solved: the shortest of six
+                solutions, a bound;
+                transformer-lines: straight lines to the goals that the transformer chooses;
+                nearest-lines: straight lines to the three nearest goals
+    Gaussians   decoded: g(z) = N(mu, Sigma) of the decoder;
+                wide: around each code's node of the roadmap, at least 1.1 rad in every direction;
                 along: N(q, std^2 I) every 0.4 rad along the sequence's nodes, from start to goal
-    std         of Gaussians along a sequence [rad]
+    std         standard deviation of Gaussians along a sequence [rad]
     reading     merged: the codes of a sequence as predicted;
-                every-waypoint: codes of all states, 0.13 rad apart, along the sequence's nodes, as
-                the authors encode paths; runs of equal codes are one
-    update      none; algorithm-2: codes moved by gradient towards F(q) = 0;
-                printed: the same by plain gradient steps, where codes that got worse stay moved;
+                every-waypoint: the codes of all states, 0.13 rad apart, along the sequence's nodes,
+                as the authors encode paths; repeated codes are left out
+    update      none; algorithm-2: codes are moved by gradient towards F(q) = 0;
+                printed: the same by plain gradient steps, and codes that got worse stay moved;
                 projected: every mean is projected onto F(q) = 0
-    sequences   likeliest: the best of the transformer's beams to each goal (paper);
-                all-beams: all three
-    cloud       own-cloud: the scene's; other-cloud: that of another scene; no-cloud: no points
-    draws       projected-draws: onto F(q) = 0 before trees extend towards them (paper);
-                raw-draws: not; free-draws: projected, and drawn again where they collide
-    reach       of extensions towards a draw [rad]; inf as printed
-    goals       goals-together: the cheapest three are asked about, the search gets all;
-                goals-apart: one after the other, each with a query and an equal share of the budget
-                (paper: 20 goals, 2.5 s each)
+    sequences   likeliest: the transformer's best hypothesis for each goal (paper);
+                all-beams: all three hypotheses
+    cloud       own-cloud: of the scene; other-cloud: of another scene; no-cloud: no points
+    draws       projected-draws: samples are projected onto F(q) = 0 before trees extend (paper);
+                raw-draws: they are not; free-draws: projected, and drawn again if they collide
+    reach       maximum length of extensions towards a sample [rad]; inf as printed
+    goals       goals-together: sequences to the cheapest three goals, search for all goals;
+                goals-apart: one goal after the other, each with a query and an equal share of the
+                budget (paper: 20 goals, 2.5 s each)
 
-Sampled from is the mixture of the codes' Gaussians and one around each goal that was asked about,
-all equally likely (paper, eqn. sample_dist, and its code), and a uniform share. Gaussians `along`
-hold the goals already.
+The distribution is the mixture of the codes' Gaussians and of one around each predicted goal, all
+of equal weight (paper, eqn. sample_dist, and its code), plus a uniform share. Gaussians `along` a
+sequence include its goal.
 """
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -52,29 +51,23 @@ CHOICES = {
     "draws": ("projected-draws", "raw-draws", "free-draws"),
     "goals": ("goals-together", "goals-apart"),
 }
-# field: its word before "=", and what stands behind it
-NUMBERS = {
-    "uniform_share": ("uniform", "0 to 1"),
-    "std": ("std", "above 0 [rad]"),
-    "reach": ("reach", "above 0 [rad], or inf"),
-}
 
 
 @dataclass(frozen=True, kw_only=True)
 class SamplerChoice:
-    """One product of choices; values of all fields but the share are in CHOICES."""
+    """One product of choices; texts are those of CHOICES, see the module."""
 
     predictor: str
     gaussians: str = "decoded"
     update: str = "none"
     cloud: str = "own-cloud"
-    uniform_share: float = 0.0  # of all samples; at 0 planners are not probabilistically complete
-    sequences: str = "likeliest"  # of the transformer
+    uniform_share: float = 0.0  # share of all samples; 0 is not probabilistically complete
+    sequences: str = "likeliest"
     reading: str = "merged"
     draws: str = "projected-draws"
-    reach: float = math.inf  # of extensions towards a draw [rad]
+    reach: float = math.inf  # [rad]
     goals: str = "goals-together"
-    std: float = 0.9  # [rad] of Gaussians along a sequence, from tuning
+    std: float = 0.9  # [rad], tuned
 
     def __post_init__(self) -> None:
         for name, known in CHOICES.items():
@@ -90,9 +83,9 @@ class SamplerChoice:
             raise InvalidInputError(
                 f"{word} needs a path or sequence: predictor {self.predictor} has none"
             )
-        # codes of these are read along the way
-        of_ways = self.predictor in ("solved", "transformer-lines", "nearest-lines")
-        if of_ways and not (along or every):
+        # these have a path or lines instead of codes
+        without_codes = self.predictor in ("solved", "transformer-lines", "nearest-lines")
+        if without_codes and not (along or every):
             raise InvalidInputError(
                 f"predictor {self.predictor} has no codes of its own: add every-waypoint or along"
             )
@@ -116,50 +109,58 @@ class SamplerChoice:
 
     @classmethod
     def of(cls, text: str, wide_share: float = 0.15) -> Self:
-        """Read words joined by "+", such as ``random+wide+projected+uniform=0.15``.
+        """Read choices joined by "+", such as ``random+wide+projected+uniform=0.15``.
 
         Args:
-            text: the predictor, then at most one word of each other kind.
-            wide_share: uniform share of wide Gaussians and of those along a sequence where none is
-                given.
+            text: the predictor, then at most one choice of each other kind.
+            wide_share: default of the uniform share for Gaussians that are wide or along a
+                sequence.
 
         Raises:
-            InvalidInputError: a word is unknown, or the second of its kind.
+            UnknownChoiceError: a choice is unknown.
+            InvalidInputError: a kind has two choices, or a number is malformed.
         """
+        numbers = {  # name before "=": field, and its valid numbers
+            "uniform": ("uniform_share", "0 to 1"),
+            "std": ("std", "above 0 [rad]"),
+            "reach": ("reach", "above 0 [rad], or inf"),
+        }
         predictor, *words = text.split("+")
-        others = {kind: known for kind, known in CHOICES.items() if kind != "predictor"}
-        kinds = {word: kind for kind, known in others.items() for word in known}
+        kinds = {
+            word: kind for kind, known in CHOICES.items() if kind != "predictor" for word in known
+        }
         found: dict[str, Any] = {}
         for word in words:
-            name, is_number, number = word.partition("=")
-            numbers = [field for field, (said, _) in NUMBERS.items() if is_number and said == name]
-            kind = numbers[0] if numbers else kinds.get(word)
-            if kind is None:
+            name, equals, number = word.partition("=")
+            value: str | float = word
+            if equals and name in numbers:
+                kind, valid = numbers[name]
+                try:
+                    value = float(number)
+                except ValueError as error:
+                    raise InvalidInputError(
+                        f"{word!r}: give a number, {valid}, behind '{name}='"
+                    ) from error
+            elif word in kinds:
+                kind = kinds[word]
+            else:
                 known = [*kinds, "uniform=0.15", "std=0.9", "reach=1"]
                 raise UnknownChoiceError(f"part of planner {PREFIX}{text}", word, known)
             if kind in found:
                 raise InvalidInputError(
                     f"planner {PREFIX}{text} has two parts of one kind, {word!r} is the second"
                 )
-            found[kind] = word
-            if kind in NUMBERS:
-                try:
-                    found[kind] = float(number)
-                except ValueError as error:
-                    raise InvalidInputError(
-                        f"{word!r}: give a number, {NUMBERS[kind][1]}, behind '{name}='"
-                    ) from error
+            found[kind] = value
         if found.get("gaussians") in ("wide", "along"):
             found.setdefault("uniform_share", wide_share)
         return cls(predictor=predictor, **found)
 
 
-PRINTED = "decoded+every-waypoint+goals-apart"  # how the paper reads sequences and tries goals
-NAMED: Mapping[str, SamplerChoice] = {
-    "cvq-mpt": SamplerChoice.of(f"transformer+{PRINTED}"),
-    "opt-cvq-mpt": SamplerChoice.of(f"transformer+{PRINTED}+algorithm-2"),
+NAMED_SAMPLERS = {
+    "cvq-mpt": SamplerChoice.of("transformer+decoded+every-waypoint+goals-apart"),
+    "opt-cvq-mpt": SamplerChoice.of("transformer+decoded+every-waypoint+goals-apart+algorithm-2"),
     "cvq-published": SamplerChoice.of("published+decoded+goals-apart"),
     "cvq-wide": SamplerChoice.of("transformer+wide+projected+all-beams+reach=1"),
     "cvq-tuned": SamplerChoice.of("transformer+along+all-beams+free-draws+reach=1"),
 }
-"""Products that planners are named after. The first three are the paper's, the others are ours."""
+"""Choices of planners with a name: the first three are the paper's, the others are ours."""

@@ -12,7 +12,7 @@ from small_models import random_checkpoint
 
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.vqmpt.checkpoint import save_checkpoint
-from cvqmpt_lab.vqmpt.scene_predictor import PublishedPredictor
+from cvqmpt_lab.vqmpt.sequence_predictor import PublishedPredictor
 from cvqmpt_lab.vqmpt.weights import (
     WEIGHTS_FOLDER,
     OtherRobotError,

@@ -29,7 +29,7 @@ from cvqmpt_lab.search.birrt import BiRRT
 from cvqmpt_lab.search.method import Method
 from cvqmpt_lab.search.planner_interface import GaussianMixture, Proposal, Uniform
 from cvqmpt_lab.search.result import Budget, PlanStatus, Timings
-from cvqmpt_lab.vqmpt import scene_predictor
+from cvqmpt_lab.vqmpt import sequence_predictor
 
 HERE = {"cpu_model": "this one", "numba": "1"}
 ELSEWHERE = {"cpu_model": "another one", "numba": "1"}
@@ -275,8 +275,8 @@ def test_committed_rows_load_and_add_up(part):
 
 @pytest.mark.parametrize("suite", ["family-shelves", "place-task"])
 def test_every_run_is_charged_for_the_encoding_of_its_scene(monkeypatch, suite):
-    grouped = Mock(side_effect=scene_predictor.compiled_groups)
-    monkeypatch.setattr(scene_predictor, "compiled_groups", grouped)
+    grouped = Mock(side_effect=sequence_predictor.compiled_groups)
+    monkeypatch.setattr(sequence_predictor, "compiled_groups", grouped)
     item, found = suite_named(suite).solvable(0), []
     for name in ("cvq-mpt", "opt-cvq-mpt", "cvq-wide"):
         grouped.reset_mock()

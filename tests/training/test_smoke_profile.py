@@ -11,7 +11,7 @@ from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.training.profiles import PROFILES
 from cvqmpt_lab.vqmpt.checkpoint import load_checkpoint, stored
 from cvqmpt_lab.vqmpt.codebook import Codebook
-from cvqmpt_lab.vqmpt.scene_predictor import PublishedPredictor
+from cvqmpt_lab.vqmpt.sequence_predictor import PublishedPredictor
 from cvqmpt_lab.vqmpt.weights import robot_signature
 
 

@@ -97,15 +97,15 @@ def test_sampled_is_the_mixture_of_codes_and_goals(problem, proposed, predictor)
 
 
 def test_every_waypoint_is_read_along_the_nodes_of_sequences(problem, proposed):
-    """Codes of states 0.13 rad apart from the start over the nodes to the goal, runs as one."""
+    """Codes of states 0.13 rad apart from start to goal over the nodes; repeats are left out."""
     proposal = proposed("cvq:transformer+every-waypoint")
     nodes = dictionary_roadmap("vq_mpt", problem.robot).nodes
     listed = []
-    for way, goal in zip(proposal.ways, proposal.goals, strict=True):
-        np.testing.assert_array_equal(way[[0, -1]], [problem.start, goal])
-        assert all((node == nodes).all(axis=1).any() for node in way[1:-1])
-        read = codes_of(model_of("vq_mpt"), problem.robot, JointPath(way).spaced(0.13))
-        listed += [code for code, _ in groupby(read.tolist())]
+    for line, goal in zip(proposal.polylines, proposal.goals, strict=True):
+        np.testing.assert_array_equal(line[[0, -1]], [problem.start, goal])
+        assert all((node == nodes).all(axis=1).any() for node in line[1:-1])
+        codes = codes_of(model_of("vq_mpt"), problem.robot, JointPath(line).spaced(0.13))
+        listed += [code for code, _ in groupby(codes.tolist())]
     assert proposal.codes.tolist() == listed and len(listed) > len(proposed("cvq-wide").codes) / 3
     assert len(proposal.distribution.means) == len(listed) + len(proposal.goals)
 
@@ -116,23 +116,23 @@ def test_gaussians_along_sequences_hold_start_and_goals(problem, proposed):
     for end in (problem.start, *proposal.goals):
         assert (np.abs(mixture.means - end).max(axis=1) < 1e-12).any()
     np.testing.assert_array_equal(mixture.covariances, [0.81 * np.eye(7)] * len(mixture.means))
-    length = sum(JointPath(way).length for way in proposal.ways)
-    assert length / 0.4 <= len(mixture.means) <= length / 0.4 + 2 * len(proposal.ways)
+    length = sum(JointPath(line).length for line in proposal.polylines)
+    assert length / 0.4 <= len(mixture.means) <= length / 0.4 + 2 * len(proposal.polylines)
 
 
 @pytest.mark.parametrize("predictor", ["nearest-lines", "transformer-lines", "solved", "oracle"])
-def test_controls_give_ways_from_the_start_to_goals(problem, proposed, predictor):
+def test_controls_give_polylines_from_the_start_to_goals(problem, proposed, predictor):
     """Straight lines, or a path; the codes of their waypoints, or Gaussians along them."""
-    ways = proposed(f"cvq:{predictor}+every-waypoint").ways
-    for way in ways:
-        np.testing.assert_array_equal(way[0], problem.start)
-        assert (np.abs(problem.goals - way[-1]).max(axis=1) < 1e-9).any()
-        assert (len(way) == 2) == predictor.endswith("lines")
+    lines = proposed(f"cvq:{predictor}+every-waypoint").polylines
+    for line in lines:
+        np.testing.assert_array_equal(line[0], problem.start)
+        assert (np.abs(problem.goals - line[-1]).max(axis=1) < 1e-9).any()
+        assert (len(line) == 2) == predictor.endswith("lines")
     along = proposed(f"cvq:{predictor}+along+std=0.5").distribution
     assert along.covariances[0, 0, 0] == 0.25
     if predictor == "transformer-lines":
         chosen = proposed("cvq:transformer").goals
-        np.testing.assert_array_equal([way[-1] for way in ways], chosen)
+        np.testing.assert_array_equal([line[-1] for line in lines], chosen)
 
 
 def test_uniform_samples_as_a_product_are_those_of_birrt(problem):

@@ -18,8 +18,8 @@ from cvqmpt_lab.vqmpt.codebook import dictionary_nodes
 from cvqmpt_lab.vqmpt.config import SceneTransformerConfig, SceneTransformerSizes
 from cvqmpt_lab.vqmpt.numpy_decoder import SequenceDecoder
 from cvqmpt_lab.vqmpt.numpy_encoder import compiled_groups
-from cvqmpt_lab.vqmpt.scene_predictor import PublishedPredictor, SceneTransformerPredictor
 from cvqmpt_lab.vqmpt.scene_transformer import SceneTransformer
+from cvqmpt_lab.vqmpt.sequence_predictor import PublishedPredictor, SceneTransformerPredictor
 from cvqmpt_lab.vqmpt.transformer_inputs import Ends, group_points
 
 SMALL = {"width": 32, "layers": 3, "heads": 2, "groups": 24, "group_size": 8, "values": 4}
