@@ -3,6 +3,7 @@
 import argparse
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 from cvqmpt_lab.base.errors import CvqmptError, InvalidInputError
 from cvqmpt_lab.benchmarks.families import FAMILIES
@@ -20,7 +21,7 @@ from cvqmpt_lab.cli.problem_options import ROBOT, robot_source
 from cvqmpt_lab.experiments.executors import Lost, local_processes
 from cvqmpt_lab.experiments.run import default_jobs
 from cvqmpt_lab.planning.warm_up import compile_kernels
-from cvqmpt_lab.training.generation import PANDA, PathRecipe, SceneRecipe, Shard, generate
+from cvqmpt_lab.training.generation import PathRecipe, SceneRecipe, Shard, generate
 from cvqmpt_lab.training.roadmap_labels import RoadmapRecipe
 
 LABELS: Mapping[str, type[SceneRecipe]] = {"paths": PathRecipe, "roadmap": RoadmapRecipe}
@@ -28,15 +29,16 @@ LABELS: Mapping[str, type[SceneRecipe]] = {"paths": PathRecipe, "roadmap": Roadm
 
 def run(args: argparse.Namespace) -> None:
     """Generate the shards that are missing in --out."""
-    families, robot = tuple(args.family.split(",")), robot_source(args) or PANDA
-    more = {}
+    families = tuple(args.family.split(","))
+    robot = robot_source(args)
+    more: dict[str, Any] = {}
+    if robot is not None:
+        more["robot"] = robot
     if args.dictionary is not None:
         if args.labels != "roadmap":
             raise InvalidInputError("--dictionary is for --labels roadmap; leave it out")
         more["model"] = args.dictionary
-    recipe = LABELS[args.labels](
-        args.scenes, args.paths_per_scene, families, args.seed, robot=robot, **more
-    )
+    recipe = LABELS[args.labels](args.scenes, args.paths_per_scene, families, args.seed, **more)
     compile_kernels(log)
 
     def in_processes(make: Callable[[int], Shard], numbers: list[int]) -> Iterator[Shard]:

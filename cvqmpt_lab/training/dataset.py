@@ -28,7 +28,7 @@ from cvqmpt_lab.training.shards import (
 from cvqmpt_lab.vqmpt.config import SerialChain
 from cvqmpt_lab.vqmpt.weights import RobotSignature
 
-SCHEMA = 1
+DATASET_SCHEMA = 1
 VALIDATION_EVERY = 20  # scenes whose seed is divisible by this number are for validation
 
 SplitName = Literal["train", "validation"]
@@ -223,9 +223,9 @@ def read_dataset_description(folder: Path) -> dict[str, Any]:
             f"no dataset in {folder}: it has no {DESCRIPTION_FILE}; generate one there first"
         )
     description = read_json_object(path)
-    if description.get("schema") != SCHEMA:
+    if description.get("schema") != DATASET_SCHEMA:
         raise InvalidInputError(
-            f"{path}: schema is {description.get('schema')!r}; this version reads {SCHEMA}"
+            f"{path}: schema is {description.get('schema')!r}; this version reads {DATASET_SCHEMA}"
         )
     fields = {  # field of RobotSignature -> field of the description
         "name": "robot",

@@ -1,6 +1,7 @@
-"""Datasets of labelled random scenes in shards; an interrupted generation can be continued.
+"""Generation of datasets: random scenes with labels, in shards; it can be interrupted.
 
-Near-shortest paths are the labels that VQ-MPT and MPNet learn from.
+`SceneRecipe` is the base of all recipes. `PathRecipe` makes near-shortest paths, from which the
+dictionary and MPNet are trained; `roadmap_labels` has the other recipe.
 """
 
 import json
@@ -21,18 +22,18 @@ from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Scene
-from cvqmpt_lab.scene.shapes import Box, Cylinder, Sphere
+from cvqmpt_lab.scene.shapes import Box, Cylinder, Shape, Sphere
 from cvqmpt_lab.search.anytime import NearShortestSettings, near_shortest
 from cvqmpt_lab.search.motion import motion_free
 from cvqmpt_lab.search.result import JointPath
 from cvqmpt_lab.search.space import ConstrainedSpace
-from cvqmpt_lab.training.dataset import SCHEMA, VALIDATION_EVERY
+from cvqmpt_lab.training.dataset import DATASET_SCHEMA, VALIDATION_EVERY
 from cvqmpt_lab.training.shards import (
     DESCRIPTION_FILE,
     PATH_ARRAYS,
     SCENE_ARRAYS,
     SHARDS_FOLDER,
-    SPACING,
+    WAYPOINT_SPACING_RAD,
     Column,
     archive,
     joined,
@@ -42,62 +43,56 @@ from cvqmpt_lab.training.shards import (
 )
 from cvqmpt_lab.vqmpt.config import SerialChain
 
-PANDA = {"name": "panda"}
-SHAPES = {  # kind and size of a shape, as `training.dataset.Shapes` has them
-    Box: lambda box: (0, box.size),
-    Cylinder: lambda cylinder: (1, (cylinder.radius, cylinder.radius, cylinder.height)),
-    Sphere: lambda sphere: (2, (sphere.radius,) * 3),
-}
-Shard = tuple[int, bytes]  # its number and the content of its file
+Shard = tuple[int, bytes]  # number of a shard and content of its file
 
 
 @dataclass(frozen=True)
 class SceneRecipe(ABC):
     """Robot and scenes of a dataset; subclasses make the labels."""
 
-    title: ClassVar[str]  # of the dataset card
+    title: ClassVar[str]  # title of the dataset card
     columns: ClassVar[Mapping[str, Column]]  # arrays of a shard
     first_scene: ClassVar = 10_000_000  # scenes of evaluation suites have smaller numbers
-    most_scenes: ClassVar = 1_000_000  # of a seed
-    shard_scenes: ClassVar = 16
+    most_scenes: ClassVar = 1_000_000  # scene numbers of each seed
+    shard_scenes: ClassVar = 16  # scenes of a shard
 
-    scenes: int  # in all, families taking turns
-    paths_per_scene: int  # pairs tried in each; some give no label
+    scenes: int  # number of scenes; families take turns
+    paths_per_scene: int  # pairs of start and goal tried in each scene; some give no label
     families: tuple[str, ...] = tuple(FAMILIES)
     seed: int = 0
     # as field 'robot' of a problem file
-    robot: Mapping[str, Any] = field(default_factory=PANDA.copy)
+    robot: Mapping[str, Any] = field(default_factory=lambda: {"name": "panda"})
 
     def __post_init__(self) -> None:
         for family in self.families:
             require_choice("scene family", family, FAMILIES)
-        # larger ones would number scenes beyond 2^32
+        # with a larger seed, numbers of scenes would exceed 2^32
         whole_number("seed", self.seed, 0, 3999)
         whole_number("scenes", self.scenes, 1, self.most_scenes)
         whole_number("paths per scene", self.paths_per_scene, 1)
 
     def prepare(self, out: Path) -> None:  # noqa: B027 (nothing for most)
-        """Write the files that shards have in common."""
+        """Write the files that all shards have in common."""
 
     def check(self) -> None:  # noqa: B027 (nothing for most)
         """Raise InvalidInputError, before anything is written, if labels cannot be made."""
 
     @abstractmethod
     def labelled(self, robot: Robot, scene: Scene, index: int) -> dict[str, Any] | None:
-        """Arrays of a shard of the scene of this index alone; None if it cannot be labelled."""
+        """Make the arrays of a shard for one scene; None if it cannot be labelled."""
 
     def shard(self, number: int) -> Shard:
-        """One shard; depends on the recipe and its number alone."""
+        """Make a shard, which depends only on the recipe and the shard's number."""
         robot, labelled = robot_from_source(self.robot), []
         first = number * self.shard_scenes
         for index in range(first, min(first + self.shard_scenes, self.scenes)):
             turn, family = divmod(index, len(self.families))
-            # the number decides the split
+            # whether a scene is for validation depends on this number
             scene_number = self.first_scene + self.seed * self.most_scenes + turn
             scene = family_scene(self.families[family], scene_number)
             labels = self.labelled(robot, scene, index)
             if labels is not None:
-                arrays = scene_arrays(family, scene_number, scene) | labels
+                arrays = scene_rows(family, scene_number, scene) | labels
                 labelled.append({name: np.asarray(values) for name, values in arrays.items()})
         if not labelled:
             raise InvalidInputError(
@@ -117,17 +112,18 @@ def generate(
     on_progress: Callable[[int, int], None] = lambda done, total: None,
     apply: Callable[[Callable[[int], Shard], list[int]], Iterable[Shard]] = map,
 ) -> None:
-    """Write the shards that a folder does not have yet, and a card that counts what it holds.
+    """Write the shards that a folder does not have yet, and a card with counts.
 
     Args:
         recipe: what to generate.
         out: folder of the dataset.
-        command: the words that asked for it, kept with the dataset.
-        on_progress: called with the shards done and those in all.
-        apply: calls a function with every number and gives its results in any order.
+        command: words of the command line, which are stored with the dataset.
+        on_progress: called with the number of finished shards and of all shards.
+        apply: calls a function with every number and yields the results in any order, like `map`.
 
-    InvalidInputError: `out` holds a dataset of another recipe, is being written by another run, or
-    cannot be written.
+    Raises:
+        InvalidInputError: `out` holds a dataset of another recipe, is being written by another
+            run, or cannot be written.
     """
     recipe.check()
     make_folder(out / SHARDS_FOLDER)
@@ -145,7 +141,7 @@ def generate(
 
 
 def _card(recipe: SceneRecipe, out: Path) -> str:
-    """Dataset card: the recipe, and counts by family."""
+    """Return the dataset card: the recipe, and counts by family."""
     arrays = joined(read_shards(out, SCENE_ARRAYS), SCENE_ARRAYS)
     validates = arrays["scene_seed"] % VALIDATION_EVERY == 0
     lines = ["| family | scenes | of them validate | paths |", "|---|---|---|---|"]
@@ -162,7 +158,7 @@ def _card(recipe: SceneRecipe, out: Path) -> str:
 
 
 def _describe(recipe: SceneRecipe, out: Path, command: list[str]) -> None:
-    """Write dataset.json, or check that it is equal."""
+    """Write dataset.json; if there is one, compare its recipe."""
     settings = json.loads(json.dumps(asdict(recipe)))
     path = out / DESCRIPTION_FILE
     if path.exists():
@@ -174,7 +170,7 @@ def _describe(recipe: SceneRecipe, out: Path, command: list[str]) -> None:
         return
     robot = robot_from_source(recipe.robot)
     description = {
-        "schema": SCHEMA,
+        "schema": DATASET_SCHEMA,
         "robot": robot.name,
         "lower": robot.lower.tolist(),
         "upper": robot.upper.tolist(),
@@ -189,8 +185,9 @@ def _describe(recipe: SceneRecipe, out: Path, command: list[str]) -> None:
 
 
 def serial_chain(robot: Robot) -> SerialChain:
-    """Kinematics of a robot as a chain, with a point on each joint but the first, and the hand."""
-    kinematics, (hand, T) = robot.kinematics, robot.end_effector_link
+    """Return a robot's kinematics as a chain, with points at all joints but the first, and hand."""
+    kinematics = robot.kinematics
+    hand, T = robot.end_effector_link
     offsets = np.zeros((robot.dof, 3))
     offsets[-1] = T[:3, 3]
     return SerialChain(
@@ -202,29 +199,38 @@ def serial_chain(robot: Robot) -> SerialChain:
     )
 
 
-def scene_arrays(family: int, number: int, scene: Scene) -> dict[str, Any]:
-    """A scene of a family as arrays of a shard."""
-    described = [SHAPES[type(item.shape)](item.shape) for item in scene.obstacles]
+def scene_rows(family: int, number: int, scene: Scene) -> dict[str, Any]:
+    """Return a scene as arrays of a shard (`shards.SCENE_ARRAYS`).
+
+    family: index of the scene's family; number: number of the scene.
+    """
+    shapes = [shape_row(item.shape) for item in scene.obstacles]
     poses = np.array([item.T_world_object[:3] for item in scene.obstacles])
     return {
         "family": [family],
         "scene_seed": [number],
-        "shape_start": [0, len(described)],
-        "shape_kind": [kind for kind, _ in described],
-        "shape_size": np.array([size for _, size in described]).reshape(-1, 3),
+        "shape_start": [0, len(shapes)],
+        "shape_kind": [kind for kind, _ in shapes],
+        "shape_size": np.array([size for _, size in shapes]).reshape(-1, 3),
         "shape_pose": poses.reshape(-1, 3, 4),
     }
 
 
-def unconstrained_space(robot: Robot, scene: Scene) -> ConstrainedSpace:
-    """The unconstrained planning space of a scene."""
-    return ConstrainedSpace(robot, scene)
+def shape_row(shape: Shape) -> tuple[int, tuple[float, float, float]]:
+    """Return kind and size [m] of a shape of a random scene, as in `dataset.Shapes`."""
+    if isinstance(shape, Box):
+        x, y, z = shape.size
+        return 0, (x, y, z)
+    if isinstance(shape, Cylinder):
+        return 1, (shape.radius, shape.radius, shape.height)
+    assert isinstance(shape, Sphere)
+    return 2, (shape.radius, shape.radius, shape.radius)
 
 
 def free_configurations(
     space: ConstrainedSpace, rng: np.random.Generator, drawn: int = 512
 ) -> np.ndarray:
-    """Those of `drawn` random configurations that are free (k, n) [rad or m]."""
+    """Draw random configurations and return those free of collision (k, n) [rad or m]."""
     candidates = space.robot.random_configurations(rng, drawn)
     return candidates[space.valid_batch(candidates)]
 
@@ -232,9 +238,12 @@ def free_configurations(
 def near_obstacles(
     space: ConstrainedSpace, configurations: np.ndarray, near_hand: float = 0.25
 ) -> np.ndarray:
-    """Whether the hand is near an obstacle, (b,) bool: within `near_hand` [m] of a box around one.
+    """Whether the hand is near an obstacle, (b,) bool.
 
-    configurations: (b, n) [rad or m].
+    Args:
+        space: space of a scene.
+        configurations: (b, n) [rad or m].
+        near_hand: maximum distance of the hand to a box around an obstacle [m].
     """
     robot = space.robot
     link, T = robot.end_effector_link
@@ -242,7 +251,7 @@ def near_obstacles(
     hand = rotations[:, link] @ T[:3, 3] + translations[:, link]
     near = np.zeros(len(configurations), dtype=bool)
     for item in space.scene.obstacles:
-        _, size = SHAPES[type(item.shape)](item.shape)
+        _, size = shape_row(item.shape)
         half = 0.5 * np.array(size) if isinstance(item.shape, Box) else np.array(size)
         local = (hand - item.T_world_object[:3, 3]) @ item.T_world_object[:3, :3]
         outside = np.maximum(np.abs(local) - half, 0.0)
@@ -260,12 +269,13 @@ class PathRecipe(SceneRecipe):
     labels: NearShortestSettings = field(default_factory=NearShortestSettings)
 
     def labelled(self, robot: Robot, scene: Scene, index: int) -> dict[str, Any]:
-        """Labelled paths."""
+        """Make the paths of a scene."""
         rng = np.random.default_rng((self.seed, index))
-        space = unconstrained_space(robot, scene)
-        labels = _labels(space, rng, self.paths_per_scene, self.labels)
+        labels = _labels(ConstrainedSpace(robot, scene), rng, self.paths_per_scene, self.labels)
         paths = [path for path, _ in labels]
-        waypoints = [packed(path.spaced(SPACING), robot.lower, robot.upper) for path in paths]
+        waypoints = [
+            packed(path.spaced(WAYPOINT_SPACING_RAD), robot.lower, robot.upper) for path in paths
+        ]
         return {
             "path_scene": np.zeros(len(paths), int),
             "path_start": np.cumsum([0, *map(len, waypoints)]),
@@ -285,31 +295,31 @@ def _labels(
     most_straight: float = 0.5,
     detour: float = 1.03,
 ) -> list[tuple[JointPath, bool]]:
-    """Labelled paths of one scene.
+    """Find near-shortest paths of a scene.
 
-    Half of the starts and goals are anywhere, half with the hand near an obstacle. Most motions are
-    nearly straight and say little about the scene, so their share is bounded.
+    Half of the pairs of start and goal are random, half have the hand near an obstacle. Most
+    motions are nearly straight and depend little on the scene, so their share is limited.
 
     Args:
         space: unconstrained space of the scene.
-        rng: draws starts, goals and searches.
-        pairs: of start and goal, at most.
-        settings: of the search.
-        most_trivial: share of pairs whose straight line may be free.
-        most_straight: share of paths that may be straight or nearly so.
-        detour: a path is nearly straight unless it is so many times as long as the straight line.
+        rng: random numbers for starts, goals and searches.
+        pairs: maximum number of pairs of start and goal.
+        settings: settings of the search.
+        most_trivial: maximum share of pairs whose straight line is free.
+        most_straight: maximum share of paths that are straight or nearly straight.
+        detour: a path is nearly straight if it is shorter than this multiple of the straight line.
 
     Returns:
-        Paths, and whether the straight line of each is free.
+        Paths, and whether the straight line from start to goal is free for each.
     """
     candidates = free_configurations(space, rng)
     if len(candidates) < 2:
         return []
-    tasklike = candidates[near_obstacles(space, candidates)]
+    near_obstacle = candidates[near_obstacles(space, candidates)]
     labels: list[tuple[JointPath, bool]] = []
     straight = 0
     for pair in range(pairs):
-        pool = tasklike if pair % 2 and len(tasklike) >= 2 else candidates
+        pool = near_obstacle if pair % 2 and len(near_obstacle) >= 2 else candidates
         enough = sum(is_trivial for _, is_trivial in labels) >= most_trivial * pairs
         for _ in range(10):
             start, goal = pool[rng.choice(len(pool), 2, replace=False)]
@@ -322,9 +332,9 @@ def _labels(
         path = line if trivial else near_shortest(space, start, goal, rng, settings)
         if path is None:
             continue
-        nearly = path.length < detour * np.linalg.norm(goal - start)
-        if nearly and straight >= most_straight * pairs:
+        nearly_straight = path.length < detour * np.linalg.norm(goal - start)
+        if nearly_straight and straight >= most_straight * pairs:
             continue
-        straight += int(nearly)
+        straight += int(nearly_straight)
         labels.append((path, trivial))
     return labels

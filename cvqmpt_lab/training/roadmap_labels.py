@@ -22,7 +22,6 @@ from cvqmpt_lab.training.generation import (
     SceneRecipe,
     free_configurations,
     near_obstacles,
-    unconstrained_space,
 )
 from cvqmpt_lab.training.shards import (
     LABEL_ARRAYS,
@@ -88,7 +87,7 @@ def roadmap_graph(model: str, robot: Robot) -> RoadmapGraph:
     count, k = roadmap.neighbours.shape
     pairs = np.stack([np.repeat(np.arange(count), k), roadmap.neighbours.ravel()], axis=1)
     edges = np.unique(np.sort(pairs, axis=1), axis=0).astype(np.int32)
-    space = unconstrained_space(robot, Scene("nothing", ()))
+    space = ConstrainedSpace(robot, Scene("nothing", ()))
     checked = verdicts(space, roadmap.nodes, edges, checks=100 * CHECKS_PER_EDGE)
     # in an empty scene, only very long edges need so many checks
     if checked is None:
@@ -161,7 +160,7 @@ def verdicts(
 @lru_cache(maxsize=1)
 def checks_of(robot: Robot, graph: RoadmapGraph) -> int:
     """Limit of state checks per edge, enlarged by factors of 4 until an empty scene stays below."""
-    space = unconstrained_space(robot, Scene("nothing", ()))
+    space = ConstrainedSpace(robot, Scene("nothing", ()))
     checks = CHECKS_PER_EDGE
     while verdicts(space, graph.nodes, graph.edges, graph.edge_possible, checks) is None:
         checks *= 4
@@ -188,7 +187,7 @@ def roadmap_labels(
     Returns:
         Arrays of `shards.LABEL_ARRAYS` of this scene, or None if it needs too many state checks.
     """
-    space = unconstrained_space(robot, scene)
+    space = ConstrainedSpace(robot, scene)
     rng = np.random.default_rng(seed)
     checks = checks_of(robot, graph)
     checked = verdicts(space, graph.nodes, graph.edges, graph.edge_possible, checks)

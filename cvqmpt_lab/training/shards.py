@@ -25,7 +25,7 @@ from cvqmpt_lab.base.files import read_bytes, write_bytes
 DESCRIPTION_FILE = "dataset.json"
 SHARDS_FOLDER = "shards"
 FULL_SCALE = 65535.0  # value of a stored joint at its upper limit
-SPACING = 0.13  # [rad] between waypoints of a path, at most
+WAYPOINT_SPACING_RAD = 0.13  # [rad] maximum distance of neighbouring waypoints of a path
 LINKS_PER_END = 20  # nearest nodes of a roadmap that a start or goal is linked to
 
 

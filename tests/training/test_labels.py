@@ -25,7 +25,7 @@ from cvqmpt_lab.training.shards import (
     FULL_SCALE,
     LABEL_ARRAYS,
     LINKS_PER_END,
-    SPACING,
+    WAYPOINT_SPACING_RAD,
     RoadmapGraph,
     read_shards,
 )
@@ -80,7 +80,7 @@ def test_paths_are_free_and_join_their_ends_among_the_shapes_of_their_scene(tiny
         for path in np.flatnonzero(arrays["path_scene"] == scene).tolist():
             q = robot.lower + dataset.path(path) * (robot.upper - robot.lower)
             steps = np.linalg.norm(np.diff(q, axis=0), axis=1)
-            assert steps.max() < SPACING + 1e-3
+            assert steps.max() < WAYPOINT_SPACING_RAD + 1e-3
             # waypoints cut corners by less than a tenth of their spacing
             assert steps.sum() == pytest.approx(arrays["length"][path], rel=0.01)
             assert arrays["length"][path] >= arrays["straight"][path] - 1e-4

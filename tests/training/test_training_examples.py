@@ -19,7 +19,7 @@ from cvqmpt_lab.sensing.crop import Crop
 from cvqmpt_lab.sensing.observation import CameraSettings, visible_points
 from cvqmpt_lab.training.clouds import CloudSettings, measured_points, sample_cloud
 from cvqmpt_lab.training.dataset import BaseTurn, Shapes, open_dataset
-from cvqmpt_lab.training.generation import scene_arrays
+from cvqmpt_lab.training.generation import scene_rows
 from cvqmpt_lab.training.mpnet_stage import MPNetSettings, MPNetStage, SceneBatchSettings, turned
 from cvqmpt_lab.training.sequence_dataset import open_sequences
 from cvqmpt_lab.vqmpt.config import MPNetConfig, SerialChain
@@ -108,7 +108,7 @@ def test_empty_and_unseen_scenes_still_give_points():
 def test_measured_clouds_are_those_of_evaluation_cameras():
     """Two cameras at the same places see the same scene by either way, up to the pixels' size."""
     scene, settings = random_scene(3), CloudSettings(points=1024, measured=1.0, cameras=2)
-    arrays = scene_arrays(0, 3, scene)
+    arrays = scene_rows(0, 3, scene)
     kind, size, pose = (np.array(arrays[f"shape_{name}"]) for name in Shapes._fields)
     shapes = Shapes(kind, size.astype(np.float32), pose.astype(np.float32))
     eyes = np.array([[1.2, 1.0, 1.5], [-0.9, 1.5, 1.2]])
