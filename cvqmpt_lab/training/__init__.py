@@ -1,5 +1,5 @@
-"""Training of VQ-MPT and MPNet from a folder of data; needs torch and numpy only.
+"""Making of training data, and training of VQ-MPT and MPNet from a folder of such data.
 
-It imports no robot, scene or planner: the dataset's folder holds joints as numbers between limits,
-scenes as shape parameters, and link positions as arrays of a serial chain.
+Training needs only torch and numpy. It imports no robot, scene or planner: the folder has joints as
+numbers between limits, scenes as parameters of shapes, and kinematics as arrays of a serial chain.
 """

@@ -246,7 +246,7 @@ def codes_of(model: StoredModel, robot: Robot, configurations: np.ndarray) -> np
     if model.config.dictionary.encoder != "mlp":
         raise InvalidInputError(
             f"a dictionary with encoder {model.config.dictionary.encoder!r} encodes whole "
-            "trajectories, in training alone; use one with encoder 'mlp', such as vq_mpt"
+            "trajectories and is only for training; use one with encoder 'mlp', such as vq_mpt"
         )
     return waypoint_codes(model, ModelConfigurations(model, robot).of(configurations))
 

@@ -11,7 +11,7 @@ import numpy as np
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.base.values import Array, Condition, FloatArray, Length
 
-# begins a result's `detail` where MPNet found the path; ROLLOUTS_ALONE: no tree grew
+# beginning of a result's `detail` if MPNet found the path; ROLLOUTS_ALONE: without tree growth
 BY_ROLLOUTS = "solved by rollouts"
 ROLLOUTS_ALONE = f"{BY_ROLLOUTS} alone"
 # added to variances in layer norms of the published architecture and of the dictionary
@@ -39,7 +39,7 @@ class TransformerConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class DictionaryConfig:
-    """Stage 1: waypoint -> code z -> Gaussian g(z)."""
+    """Stage 1, which maps a waypoint to a code z and the code to a Gaussian g(z)."""
 
     encoder: Literal["transformer", "mlp"] = "transformer"
     """``transformer`` over the whole trajectory (published), or ``mlp`` on each waypoint.
@@ -79,7 +79,7 @@ class PointCloudConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class SequenceConfig:
-    """Stage 2: scene, start and goal -> sequence of codes."""
+    """Stage 2, which maps scene, start and goal to a sequence of codes."""
 
     context: TransformerConfig = field(default_factory=TransformerConfig)  # of start and goal
     transformer: TransformerConfig = field(default_factory=TransformerConfig)  # autoregressive
@@ -210,7 +210,7 @@ class SerialChain:
 
 @dataclass(frozen=True, kw_only=True)
 class SceneTransformerSizes:
-    """Sizes of `SceneTransformer`; defaults are those of the weights that ship."""
+    """Sizes of `SceneTransformer`; defaults are those of the shipped weights."""
 
     width: Size = 128
     layers: Depth = 3  # of the causal transformer

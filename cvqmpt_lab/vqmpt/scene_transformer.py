@@ -188,7 +188,9 @@ class SceneTransformer(nn.Module):
 
     def __init__(self, config: SceneTransformerConfig) -> None:
         super().__init__()
-        self.config, d, e = config, config.sizes.width, config.sizes.edge_width
+        self.config = config
+        d, e = config.sizes.width, config.sizes.edge_width
+        # names of layers and parameters are those of the stored weights
         self.register_buffer("nodes", torch.zeros(config.n_nodes, config.joint_dim))
         self.register_buffer("edges", torch.zeros(config.n_edges, 2, dtype=torch.int64))
         self.scene, self.look = SceneEncoder(d), GeometricAttention(config)
@@ -211,7 +213,8 @@ class SceneTransformer(nn.Module):
         )
         self.norm, self.out, self.key = nn.LayerNorm(d), nn.Linear(d, d), nn.Linear(d, d)
         self.goal_key, self.goal_bias = nn.Linear(d, d), nn.Parameter(torch.zeros(1))
-        self.gate, self.way = nn.Linear(d, 1), nn.Parameter(torch.tensor(5.0))
+        self.gate = nn.Linear(d, 1)
+        self.way = nn.Parameter(torch.tensor(5.0))  # bonus b_i of codes that an edge leads to
         # at the beginning of training, g_j is the same for all prefixes
         nn.init.zeros_(self.gate.weight)
         nn.init.constant_(self.gate.bias, 1.5)
