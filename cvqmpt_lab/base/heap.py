@@ -5,7 +5,15 @@ from cvqmpt_lab.base.jit import kernel
 
 @kernel(inline="machine")
 def push(keys, values, size, key, value):
-    """Add (key, value) to a heap of size entries."""
+    """Add an entry to a heap.
+
+    Args:
+        keys: (capacity,) keys of the entries, the smallest first.
+        values: (capacity,) values of the entries.
+        size: number of entries before the call.
+        key: key of the new entry.
+        value: value of the new entry.
+    """
     i = size
     while i > 0 and keys[(i - 1) // 2] > key:
         up = (i - 1) // 2
@@ -16,7 +24,7 @@ def push(keys, values, size, key, value):
 
 @kernel(inline="machine")
 def drop_smallest(keys, values, size):
-    """Remove the entry with the smallest key, keys[0], from a heap of size entries."""
+    """Remove the entry with the smallest key, keys[0], from a heap of `size` entries."""
     last = size - 1
     key, value = keys[last], values[last]
     i = 0
