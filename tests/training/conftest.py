@@ -1,4 +1,4 @@
-"""A tiny dataset of paths, written once."""
+"""A tiny dataset of paths, which is written once."""
 
 import pytest
 from training_data import write_dataset

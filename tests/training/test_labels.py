@@ -1,4 +1,4 @@
-"""Labels for training: near-shortest paths; motions and paths on the roadmap."""
+"""Making of training data: near-shortest paths, and labels on a roadmap."""
 
 import dataclasses
 import shutil
@@ -44,7 +44,7 @@ def make(out, recipe=TINY):
 
 @pytest.fixture(scope="module")
 def two_scenes_a_shard():
-    """Shards so small that a tiny dataset has several."""
+    """Make shards of two scenes, so that a tiny dataset has several."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(SceneRecipe, "shard_scenes", 2)
         yield
@@ -58,7 +58,7 @@ def tiny(tmp_path_factory, two_scenes_a_shard):
 
 
 @pytest.mark.parametrize("family", FAMILIES)
-def test_scenes_depend_on_their_number_alone_and_leave_room(family):
+def test_scenes_depend_only_on_their_number_and_leave_free_space(family):
     number = PathRecipe.first_scene
     scene = family_scene(family, number)
     assert scene == family_scene(family, number) and scene != family_scene(family, number + 1)
@@ -123,7 +123,7 @@ def test_link_positions_of_a_robot_with_a_slider_are_those_of_its_kinematics(sli
     np.testing.assert_array_equal(again, found.flip(1))
 
 
-def test_an_arm_that_the_dictionary_is_not_of_is_refused():
+def test_a_dictionary_of_another_arm_is_refused():
     recipe = RoadmapRecipe(1, 2, ("table",), 0, {"name": "ur5"})
     refused(r"for robot 'panda', not 'ur5'.*train stage1", recipe.check)
 
@@ -142,7 +142,7 @@ def graph(labelled):
 
 @pytest.fixture(scope="module", params=[0, 1])
 def scene(request, labelled):
-    """A scene of the first shard: its row, its exact checker, and the shard's arrays."""
+    """Return row and exact checker of a scene of the first shard, and the shard's arrays."""
     arrays, row = read_shards(labelled, LABEL_ARRAYS)[0], request.param
     shapes = family_scene(FEW.families[arrays["family"][row]], int(arrays["scene_seed"][row]))
     return row, CollisionChecker(panda(), shapes), arrays
@@ -154,7 +154,7 @@ def configurations(stored):
 
 
 def collisions(checker, starts, ends):
-    """Whether each straight motion (..., n) collides, at 40 states."""
+    """Whether each straight motion (..., n) collides at one of 40 states."""
     marks = np.linspace(0.0, 1.0, 40)[:, None]
     states = (1.0 - marks) * starts[..., None, :] + marks * ends[..., None, :]
     return checker.in_collision_batch(states.reshape(-1, 7)).reshape(states.shape[:-1]).any(-1)
@@ -164,7 +164,7 @@ def codes_of(arrays, row):
     return arrays["codes"][slice(*arrays["code_start"][row : row + 2])].astype(int)
 
 
-def test_nodes_edges_and_links_called_free_are_free_by_the_exact_checker(scene, graph):
+def test_free_nodes_edges_and_links_are_free_by_the_exact_checker(scene, graph):
     row, checker, arrays = scene
     node_free = np.unpackbits(arrays["node_free"][row], count=len(graph.nodes)).astype(bool)
     assert not checker.in_collision_batch(graph.nodes[node_free]).any()
@@ -184,7 +184,7 @@ def test_nodes_edges_and_links_called_free_are_free_by_the_exact_checker(scene, 
     assert not collides[link_free].any() and collides[~link_free].mean() > 0.9
 
 
-def test_paths_walk_free_edges_and_cost_what_they_say(scene, graph):
+def test_paths_use_free_edges_and_have_the_stored_cost(scene, graph):
     number, _, arrays = scene
     edge_free = np.unpackbits(arrays["edge_free"][number], count=len(graph.edges)).astype(bool)
     pairs = {tuple(edge) for edge in graph.edges[edge_free].tolist()}

@@ -1,4 +1,4 @@
-"""Data, stages and a prediction through the command line; training needs torch and numpy alone."""
+"""Data, training and prediction by the command line; training needs only torch and numpy."""
 
 import json
 
@@ -17,7 +17,7 @@ from cvqmpt_lab.vqmpt.weights import robot_signature
 
 @pytest.mark.parametrize("robot_options", ["", "--robot tiago-no-hand --base 0,0,-0.6"])
 def test_from_scenes_to_a_prediction(tmp_path, cvqmpt, robot_options):
-    """For the Panda and an arm of eight joints whose first one slides."""
+    """For the Panda, and an arm of eight joints whose first joint is prismatic."""
     data, stage1, out = tmp_path / "data", tmp_path / "stage1", tmp_path / "model"
     # the first of each family validates
     few = f"--scenes 4 --paths-per-scene 4 --seed 9 --family kitchen-like,shelves {robot_options}"
@@ -36,7 +36,7 @@ def test_from_scenes_to_a_prediction(tmp_path, cvqmpt, robot_options):
 
 
 def predicted(predictor, robot, goals):
-    """Hypotheses in a random cloud."""
+    """Predict hypotheses in a random cloud."""
     rng = np.random.default_rng(0)
     scene = predictor.encode(rng.uniform(-0.8, 0.8, (400, 3)))
     start, *goals = robot.random_configurations(rng, 1 + goals)
@@ -44,7 +44,7 @@ def predicted(predictor, robot, goals):
 
 
 def test_the_published_architecture_learns_from_roadmap_labels_and_plans(tmp_path, cvqmpt):
-    """With the shipped dictionary, which has another width."""
+    """With the shipped dictionary, whose width is not that of the network."""
     labels, out, config = tmp_path / "labels", tmp_path / "out", tmp_path / "tiny.json"
     scenes = ["--labels", "roadmap", "--family", "table,shelves", "--scenes", "4", "--jobs", "1"]
     cvqmpt("data generate", *scenes, "--out", labels)
@@ -70,5 +70,5 @@ sys.exit(main(["train", "stage1", "--profile", "smoke", "--print-config"]))
 """
 
 
-def test_the_train_command_starts_with_torch_and_numpy_alone():
+def test_the_train_command_starts_with_only_torch_and_numpy():
     assert '"name": "smoke"' in python(BLOCKED)

@@ -1,4 +1,4 @@
-"""Whole trainings on a tiny dataset; what the scene transformer learns from labels of motions."""
+"""Whole trainings on a tiny dataset; fine-tuning of the scene transformer on labels."""
 
 import csv
 import dataclasses
@@ -28,7 +28,7 @@ SMOKE = PROFILES["smoke"]
 
 
 def changed(profile, changes):
-    """A profile with other values at dotted names."""
+    """Return a profile with other values of fields, which are given by dotted names."""
     plain = to_plain(profile, complete=True)
     for name, value in changes.items():
         *path, last = name.split(".")
@@ -107,7 +107,7 @@ def test_stage_1_leaves_a_dictionary_and_curves(dictionary, data):
 
 
 def test_the_authors_network_learns_from_paths(tmp_path, data, published_dictionary):
-    """In half precision; in full precision it is the continued training below."""
+    """In half precision; `test_a_stopped_training_continues` uses full precision."""
     profile = changed(PUBLISHED, {"published.precision": "bf16"})
     out = tmp_path / "out"
     go("published", data, out, profile, dictionary=published_dictionary, epochs=1)
@@ -254,7 +254,7 @@ def labels(tmp_path_factory):
 
 
 def stage_of(labels, profile, **settings):
-    """A stage and its first batch."""
+    """Return a stage and its first batch."""
     profile = PROFILES[profile]
     profile = replace(profile, transformer=replace(profile.transformer, **LABELLED, **settings))
     stage = profile.stage("transformer", labels, None, 0, CPU)

@@ -1,4 +1,4 @@
-"""What training examples are made of: shards, splits, clouds, augmentations, sequences of codes."""
+"""Parts of training examples: shards, splits, clouds, augmentations, sequences of codes."""
 
 import shutil
 from dataclasses import replace
@@ -74,7 +74,7 @@ DEPTHS = (
 
 @pytest.mark.parametrize(("kind", "size", "depth"), DEPTHS)
 def test_points_inside_another_shape_are_left_out(kind, size, depth):
-    """A box of 0.5 m that a smaller shape at its edge cuts."""
+    """A smaller shape cuts an edge of a box of 0.5 m."""
     box, other = one(0, (0.5, 0.5, 0.5)), one(kind, size, at=(0.55, -0.2, 0.4))
     both = Shapes(*(np.concatenate(pair) for pair in zip(box, other, strict=True)))
     points = sample_cloud(both, replace(PLAIN, points=4000), rng())
@@ -106,7 +106,7 @@ def test_empty_and_unseen_scenes_still_give_points():
 
 
 def test_measured_clouds_are_those_of_evaluation_cameras():
-    """Two cameras at the same places see the same scene by either way, up to the pixels' size."""
+    """Cameras at the same positions measure the same points in both, up to the size of a pixel."""
     scene, settings = random_scene(3), CloudSettings(points=1024, measured=1.0, cameras=2)
     arrays = scene_rows(0, 3, scene)
     kind, size, pose = (np.array(arrays[f"shape_{name}"]) for name in Shapes._fields)

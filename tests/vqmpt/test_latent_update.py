@@ -1,4 +1,4 @@
-"""Algorithm 2 on small networks of random weights: values, gradients, guarantees."""
+"""Algorithm 2 on small networks with random weights: values, gradients, guarantees."""
 
 import copy
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ from cvqmpt_lab.vqmpt.latent_update import LatentObjective, LatentOptimizer, Lat
 
 @dataclass(frozen=True)
 class Plane:
-    """Constraint a . q = b in configuration space, with only what the update needs."""
+    """Constraint a . q = b in configuration space, as a minimal class."""
 
     normal: tuple = (0.5, 0.5, -0.5, 0.0, 0.0, 0.3, 0.4)
     offset: float = 0.2
@@ -99,7 +99,7 @@ def test_gradients_are_those_of_finite_differences(exact, constraint):
 
 
 def g_of(codebook, z, constraint, draws=2000):
-    """G (c,) from fresh draws, through the Gaussians that planners sample."""
+    """Mean of G (c,) over fresh draws from the Gaussians that planners sample."""
     rng, values = np.random.default_rng(77), []
     for mean, covariance in zip(*codebook.gaussians(z), strict=True):
         q = mean + rng.standard_normal((draws, 7)) @ np.linalg.cholesky(covariance).T
@@ -123,7 +123,7 @@ def test_codes_move_to_the_manifold(codebook, predicted, constraint, method, eta
     assert after.mean() < 0.93 * before.mean()
 
 
-def test_codes_repeat_by_seed_and_move_alone_as_among_others(codebook, predicted, constraint):
+def test_codes_repeat_by_seed_and_do_not_depend_on_other_codes(codebook, predicted, constraint):
     one, same, other = (optimized(codebook, predicted, constraint, seed) for seed in (1, 1, 2))
     np.testing.assert_array_equal(one.z, same.z)
     np.testing.assert_array_equal(one.g_after, same.g_after)
@@ -132,7 +132,7 @@ def test_codes_repeat_by_seed_and_move_alone_as_among_others(codebook, predicted
     np.testing.assert_allclose(alone.z, one.z[:1], atol=2e-3)
 
 
-def test_as_printed_codes_that_got_worse_stay_moved(codebook, predicted, constraint):
+def test_without_put_back_codes_that_got_worse_stay_moved(codebook, predicted, constraint):
     settings = {"method": "gradient", "eta": 3.0, "steps": 1}
     printed = optimized(codebook, predicted, constraint, put_back=False, **settings)
     ours = optimized(codebook, predicted, constraint, **settings)

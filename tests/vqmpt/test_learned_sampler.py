@@ -1,4 +1,4 @@
-"""Learned samplers and controls on the shipped weights; rollouts of real and made networks."""
+"""Learned samplers and ablations with the shipped weights; rollouts of MPNet networks."""
 
 from dataclasses import replace
 from itertools import groupby
@@ -47,7 +47,7 @@ def query(problem):
 
 @pytest.fixture
 def proposed(problem, query):
-    """Proposal of a planner, updated or not, and its codes' vectors."""
+    """Return a function from a planner's name to its proposal, after the update if it has one."""
 
     def propose(name):
         stages = planner_named(name).stages(problem)
@@ -58,7 +58,7 @@ def proposed(problem, query):
     return propose
 
 
-def test_words_say_the_product():
+def test_names_are_read_as_choices():
     along = {"gaussians": "along", "draws": "free-draws", "reach": 1.0, "goals": "goals-apart"}
     wide = {"predictor": "random", "gaussians": "wide", "uniform_share": 0.15}
     other = {"update": "projected", "cloud": "other-cloud", "uniform_share": 0.5}
@@ -80,8 +80,8 @@ def test_words_say_the_product():
 
 
 @pytest.mark.parametrize("predictor", ["transformer", "random", "oracle"])
-def test_sampled_is_the_mixture_of_codes_and_goals(problem, proposed, predictor):
-    """Equal weights; the decoder's Gaussians; around goals sigma is a tenth of a joint's range."""
+def test_the_distribution_is_the_mixture_of_codes_and_goals(problem, proposed, predictor):
+    """Weights are equal; Gaussians are those of the decoder, and 0.1 joint ranges around goals."""
     proposal = proposed(f"cvq:{predictor}")
     mixture, c = proposal.distribution, len(proposal.codes)
     codebook = codebook_of("vq_mpt", problem.robot)
@@ -122,7 +122,7 @@ def test_gaussians_along_sequences_hold_start_and_goals(problem, proposed):
 
 @pytest.mark.parametrize("predictor", ["nearest-lines", "transformer-lines", "solved", "oracle"])
 def test_controls_give_polylines_from_the_start_to_goals(problem, proposed, predictor):
-    """Straight lines, or a path; the codes of their waypoints, or Gaussians along them."""
+    """Straight lines or paths, along which codes are read or Gaussians lie."""
     lines = proposed(f"cvq:{predictor}+every-waypoint").polylines
     for line in lines:
         np.testing.assert_array_equal(line[0], problem.start)
@@ -142,7 +142,7 @@ def test_uniform_samples_as_a_product_are_those_of_birrt(problem):
 
 
 def test_goals_are_tried_one_after_the_other(problem):
-    """Each with a query of its own; the first that is reached ends the run."""
+    """Each goal has a separate query; the first reached goal ends the run."""
     asked = []
     stages = planner_named("birrt").stages(problem)
 
@@ -170,7 +170,7 @@ def test_wide_gaussians_lie_at_the_nodes_of_the_roadmap(problem, proposed):
 
 
 def test_updates_move_codes_towards_the_constraint(problem, proposed):
-    """F^T F at the means: less after Algorithm 2, almost nothing after projection."""
+    """F^T F at the means is smaller after Algorithm 2 and almost 0 after projection."""
     off = {}
     for update in ("none", "algorithm-2", "projected"):
         proposal = proposed(f"cvq:random+{update}")
@@ -203,7 +203,7 @@ def test_controls_solve_repeat_and_give_up(problem, name):
 
 
 def test_a_roadmap_needs_its_own_scene():
-    """With another scene's roadmap a planner needs more work, summed over a few problems."""
+    """With another scene's edge costs, a planner needs more work, summed over a few problems."""
     ratios = []
     for environment in (1003, 1007, 1017, 1020, 1030):
         problem = with_drawn_goals(place_problem(environment))
@@ -234,7 +234,7 @@ def in_numpy(network, robot):
 
 
 def heading_network(share=0.5):
-    """Proposes current + share * (goal - current), noisy by dropout of copies of its inputs."""
+    """Network that proposes current + share * (goal - current), with noise from dropout."""
     network = random_network(replace(CONFIG, planner_widths=(14 * COPIES, 8)))
     with torch.no_grad():
         for parameter in network.parameters():
@@ -250,7 +250,7 @@ def heading_network(share=0.5):
 
 
 def on_manifold(problem, draw, valid):
-    """A projected draw (n,), of a generator, that is valid or not."""
+    """Draw and project configurations (n,) until one is valid, or invalid, as wanted."""
     space, rng = ConstrainedSpace.of(problem), np.random.default_rng(0)
     while True:
         q = draw(rng)
@@ -259,13 +259,13 @@ def on_manifold(problem, draw, valid):
 
 
 def colliding(problem):
-    """A configuration (n,) on the manifold that collides."""
+    """Return a configuration (n,) on the manifold that collides."""
     robot = problem.robot
     return on_manifold(problem, lambda rng: rng.uniform(robot.lower, robot.upper), False)
 
 
 def stuck_network(problem):
-    """Always proposes the same colliding configuration."""
+    """Network that always proposes the same colliding configuration."""
     robot, network = problem.robot, heading_network()
     with torch.no_grad():
         network.out.weight.zero_()
@@ -275,17 +275,17 @@ def stuck_network(problem):
 
 
 def cloud_of(scene):
-    """Corners of the obstacles: faster than cameras."""
+    """Positions of the obstacles as a cloud, which needs no cameras."""
     return np.array([item.T_world_object[:3, 3] for item in scene.obstacles])
 
 
 def mpnet_of(robot, network=None, observe=cloud_of, bridged=False, **settings):
-    """A method whose rollouts are those of a network."""
+    """Return MPNet with this network."""
     rollouts = MPNetRollouts(in_numpy(network or heading_network(), robot), bridged, **settings)
     return Method.simple("mpnet", predict=rollouts, observe=observe)
 
 
-def test_it_computes_what_the_torch_network_does(panda):
+def test_mpnet_in_numpy_computes_the_same_as_in_torch(panda):
     network = random_network()
     inference = in_numpy(network, panda)
     rng = np.random.default_rng(0)
@@ -348,7 +348,7 @@ def test_rollouts_alone_reach_a_goal_that_a_direct_motion_does(tuning):
     assert result.counters.state_checks >= 100 and result.counters.projections > 0
 
 
-def test_a_straight_line_is_checked_for_collision_alone(tuning):
+def test_a_straight_line_is_checked_only_for_collision(tuning):
     space = ConstrainedSpace.of(tuning)
     off = tuning.start.copy()
     off[6] += 0.3  # turns the hand: off the manifold

@@ -1,4 +1,4 @@
-"""Both stages as published, and set abstraction, against independent implementations."""
+"""The published architecture of both stages, compared with independent implementations."""
 
 import math
 from itertools import product
@@ -161,9 +161,9 @@ def test_context_tokens_ignore_each_other(sequence_model):
 
 
 def beam_by_hand(odds, k, length):
-    """Codes with the goal token, if it came, and score, by the rules of the published code.
+    """Find codes, with the goal token if it was reached, and score, by the authors' rules.
 
-    `odds` are those of every class after a prefix of codes.
+    odds: returns the probabilities of all classes after a prefix of codes.
     """
     codes, goal = range(SMALL.dictionary.n_codes), SMALL.goal_class
     ranked = sorted(codes, key=lambda code: -odds(())[code])[:k]

@@ -1,4 +1,4 @@
-"""Predictors with small random weights: the scene transformer in numpy against torch, batches."""
+"""Sequence predictors with small random weights; the scene transformer in numpy and in torch."""
 
 import dataclasses
 
@@ -34,7 +34,7 @@ CLOUD = np.random.default_rng(1).uniform(-0.7, 0.7, (300, 3))
 
 @pytest.fixture(scope="module", params=ROBOTS)
 def robot(request):
-    """The Panda, and an arm of eight joints whose first one slides."""
+    """The Panda, and an arm of eight joints whose first joint is prismatic."""
     return robot_from_source(ROBOTS[request.param])
 
 
@@ -74,14 +74,14 @@ def predictor(model, robot):
 
 @pytest.fixture(scope="module")
 def queries(robot):
-    """A start and five goals."""
+    """Return a start and five goals."""
     q = robot.random_configurations(np.random.default_rng(2), 6)
     return q[0], q[1:]
 
 
 @pytest.fixture(scope="module")
 def by_torch(checkpoint):
-    """The scene, and its parts without the dimension of scenes."""
+    """Encode the scene by the torch module."""
     groups = group_points(CLOUD, SMALL.groups, SMALL.group_size)
     with torch.no_grad():
         return checkpoint.modules["transformer"].encode(*map(tensor, groups))
@@ -112,17 +112,18 @@ def test_embeddings_and_costs_are_those_of_torch(checkpoint, predictor, by_torch
     np.testing.assert_array_equal(predictor.by_cost(scene, start, goals), goals[np.argsort(costs)])
 
 
-def test_ways_are_as_likely_as_by_torch(checkpoint, predictor, by_torch, queries):
+def test_successors_are_as_likely_as_by_torch(checkpoint, predictor, by_torch, queries):
     network, (start, goals) = checkpoint.modules["transformer"], queries
     rng = np.random.default_rng(0)
     decoder = SequenceDecoder(predictor.network, predictor.encode(CLOUD), start, goals)
-    ways, log_p = decoder.start()
-    steps, codes = [(ways, log_p)], []
+    successors, log_p = decoder.start()
+    steps, codes = [(successors, log_p)], []
     for _ in range(MAX_CODES):
-        open_ways = [row[np.isfinite(p) & (row < 64)] for row, p in zip(ways, log_p, strict=True)]
-        codes.append(np.array([rng.choice(row) for row in open_ways]))
-        ways, log_p = decoder.advance(np.arange(len(goals)), codes[-1])
-        steps.append((ways, log_p))
+        each = zip(successors, log_p, strict=True)
+        possible = [row[np.isfinite(p) & (row < 64)] for row, p in each]
+        codes.append(np.array([rng.choice(row) for row in possible]))
+        successors, log_p = decoder.advance(np.arange(len(goals)), codes[-1])
+        steps.append((successors, log_p))
     codes = torch.from_numpy(np.stack(codes, axis=1))[None]
     with torch.no_grad():
         first, ends = (network.ends(by_torch, tensor(q)) for q in (start[None], goals))
@@ -133,11 +134,11 @@ def test_ways_are_as_likely_as_by_torch(checkpoint, predictor, by_torch, queries
         starts = tensor(start).expand(1, len(goals), -1)
         allowed = roadmap_successors(*roadmap, starts, tensor(goals), codes)[0]
     expected = logits.masked_fill(~allowed, -torch.inf).log_softmax(-1).numpy()
-    for step, (ways, log_p) in enumerate(steps):
+    for step, (successors, log_p) in enumerate(steps):
         found = np.full((len(goals), 65), -np.inf)
         for row in range(len(goals)):
             known = np.isfinite(log_p[row])
-            found[row, ways[row][known]] = log_p[row][known]
+            found[row, successors[row][known]] = log_p[row][known]
         np.testing.assert_allclose(found, expected[:, step], atol=1e-4)
 
 
@@ -145,20 +146,25 @@ GOAL = 64  # the class behind the codes
 
 
 def likeliest_by_hand(decoder, beams):
-    """Codes and score of the best hypothesis to a decoder's one goal, finished at the length limit.
+    """Find codes and score of the best hypothesis for a decoder of one goal.
 
-    The beam keeps the best continuations, finished ones included, until a finished one is first.
+    The beam keeps the best continuations, finished ones included, until a finished one is the best
+    or the maximum length is reached.
     """
-    (ways,), (log_p,) = decoder.start()
-    grown = [(0, (way,), p) for way, p in zip(ways.tolist(), log_p.tolist(), strict=True)]
+    (first,), (log_p,) = decoder.start()
+    grown = [(0, (code,), p) for code, p in zip(first.tolist(), log_p.tolist(), strict=True)]
     best = sorted(grown, key=lambda one: -one[2])[:beams]
     for _ in range(MAX_CODES):
         rows, latest = np.array([(row, codes[-1] % GOAL) for row, codes, _ in best]).T
         grown, advanced = [], decoder.advance(rows, latest)
-        for row, (ways, log_p, (_, codes, score)) in enumerate(zip(*advanced, best, strict=True)):
-            further = zip(ways.tolist(), log_p.tolist(), strict=True)
-            going = [(row, (*codes, way), score + p) for way, p in further]
-            grown += [(row, codes, score)] if codes[-1] == GOAL else going
+        for row, (following, log_p, (_, codes, score)) in enumerate(
+            zip(*advanced, best, strict=True)
+        ):
+            if codes[-1] == GOAL:
+                grown.append((row, codes, score))
+                continue
+            for code, p in zip(following.tolist(), log_p.tolist(), strict=True):
+                grown.append((row, (*codes, code), score + p))
         best = sorted(grown, key=lambda one: -one[2])[:beams]
         if best[0][1][-1] == GOAL:
             break
@@ -209,7 +215,7 @@ def test_compiled_groups_are_those_of_training():
         np.testing.assert_allclose(*reach, atol=1e-6)
 
 
-def test_few_and_many_points_and_a_start_no_code_is_near(predictor, robot, queries):
+def test_clouds_of_few_and_many_points_and_a_start_far_from_all_codes(predictor, robot, queries):
     nothing, one = predictor.encode(np.empty((0, 3))), predictor.encode(np.full((1, 3), 0.4))
     many = predictor.encode(np.random.default_rng(0).uniform(-0.7, 0.7, (1_000_000, 3)))
     assert all(np.isfinite(scene.arc_cost).all() for scene in (nothing, one, many))

@@ -1,4 +1,4 @@
-"""Weights: round trips, damage named, the given robot; folders like the published ones."""
+"""Weights are written, read, compared with the robot, and refused if damaged; published files."""
 
 import json
 import os
@@ -54,7 +54,7 @@ def test_round_trip(folder):
     assert [path.name for path in folder.parent.iterdir()] == ["model"]
 
 
-def test_what_cannot_be_written_leaves_the_earlier_checkpoint(folder, monkeypatch):
+def test_after_a_failed_write_the_earlier_checkpoint_is_left(folder, monkeypatch):
     def full(*_):
         raise OSError(28, "No space left on device")
 
@@ -115,7 +115,7 @@ ARM = RobotSignature("arm", (-1.0, -1.0), (2.0, 2.0), ("shoulder", "elbow"), "01
 OLD = RobotSignature("arm", ARM.lower, ARM.upper)
 
 
-def test_the_same_robot_may_have_another_name_or_less_on_record():
+def test_the_same_robot_may_have_another_name_or_fewer_records():
     ARM.require_same(replace(ARM, name="my arm", upper=(2.0, 2.00001)))
     ARM.require_same(OLD)
     OLD.require_same(ARM)
@@ -123,7 +123,7 @@ def test_the_same_robot_may_have_another_name_or_less_on_record():
     assert from_plain(RobotSignature, {"name": "arm", "lower": [-1, -1], "upper": [2, 2]}) == OLD
 
 
-def test_another_robot_is_refused_with_the_difference_and_what_is_no_signature_by_field():
+def test_another_robot_is_refused_with_the_difference_and_a_bad_signature_with_the_field():
     for ours, robot, message in (
         (ARM, replace(ARM, lower=(0.0,), upper=(1.0,), joints=()), "not this one: 2 joints, not 1"),
         (ARM, replace(ARM, joints=("shoulder", "wrist")), "joint 'elbow', not 'wrist'"),
@@ -224,7 +224,7 @@ def legacy(content, path):
 
 
 @pytest.mark.parametrize("save", [torch.save, legacy])
-def test_a_pickle_that_wants_to_run_code_is_refused(published, tmp_path, save):
+def test_a_pickle_that_would_run_code_is_refused(published, tmp_path, save):
     folders = published()
     save({"encoder_state": Malicious(tmp_path / "ran")}, folders[0] / "best_model.pkl")
     refused("is refused: it holds posix.mkdir, .* run code", import_published, *folders, ROBOT)
@@ -232,7 +232,7 @@ def test_a_pickle_that_wants_to_run_code_is_refused(published, tmp_path, save):
 
 
 @pytest.mark.filterwarnings("error")
-def test_files_that_are_something_else_are_called_what_they_are(tmp_path):
+def test_files_that_are_no_checkpoint_are_refused_with_their_kind(tmp_path):
     torch.save([1], tmp_path / "list")
     os.mkfifo(tmp_path / "fifo")
     for name, content, message in (
