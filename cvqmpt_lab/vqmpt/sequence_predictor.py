@@ -17,7 +17,7 @@ from cvqmpt_lab.base.caches import LruCache
 from cvqmpt_lab.base.errors import require_installed
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.sensing.observation import CameraSettings, thinned
-from cvqmpt_lab.vqmpt.beam_search import CodeSequence, beam_search
+from cvqmpt_lab.vqmpt.beam_search import CodeSequence, StepDecoder, beam_search
 from cvqmpt_lab.vqmpt.codebook import ModelConfigurations, require_own_dictionary
 from cvqmpt_lab.vqmpt.numpy_decoder import SequenceDecoder
 from cvqmpt_lab.vqmpt.numpy_encoder import EncodedScene, SceneNetwork, compiled_groups
@@ -29,6 +29,8 @@ class SequencePredictor(ABC):
     """A sequence model with its weights, for one robot."""
 
     each_code_once: ClassVar[bool]  # whether repeated codes of the sequences are used only once
+    published_search: ClassVar[bool]  # whether beam search follows the authors' code
+    max_length: int  # maximum number of predicted tokens, the goal token included
 
     def __init__(self, scenes: int = 8) -> None:
         """Prepare a cache of so many encoded scenes."""
@@ -49,28 +51,47 @@ class SequencePredictor(ABC):
         return goals[np.argsort(distances, kind="stable")]
 
     @abstractmethod
+    def _decoder(self, scene: Any, start: np.ndarray, goals: np.ndarray) -> StepDecoder:
+        """Return a decoder from the start (n,) to each of the goals (k, n) in an encoded scene."""
+
     def hypotheses(
-        self, scene: Any, start: np.ndarray, goals: np.ndarray, *, every: bool = False
+        self,
+        scene: Any,
+        start: np.ndarray,
+        goals: np.ndarray,
+        *,
+        every: bool = False,
+        beams: int = 3,
     ) -> list[list[CodeSequence]]:
-        """Find the hypotheses of the beam for each goal, the likeliest first.
+        """Find the hypotheses of a beam search for each goal, the likeliest first.
 
         Args:
             scene: result of `encode`.
             start: (n,) [rad or m].
             goals: (k, n) [rad or m].
             every: continue until all hypotheses are finished, not only the best one.
+            beams: K, number of hypotheses for each goal.
         """
+        return beam_search(
+            self._decoder(scene, start, goals),
+            beams=beams,
+            max_length=self.max_length,
+            every=every,
+            published=self.published_search,
+        )
 
 
 class SceneTransformerPredictor(SequencePredictor):
     """A trained scene transformer."""
 
     each_code_once = True
+    published_search = False
 
     def __init__(self, model: StoredModel, robot: Robot) -> None:
         """Copy the weights; InvalidInputError if robot, dictionary or sizes do not fit."""
         super().__init__()
         self.network = SceneNetwork(model, robot)
+        self.max_length = self.network.config.max_codes + 1
         require_own_dictionary(model)
 
     def _encoded(self, points: np.ndarray, most_points: int = 1024) -> EncodedScene:
@@ -98,33 +119,15 @@ class SceneTransformerPredictor(SequencePredictor):
         """Sort goals (k, n) by `goal_costs`, since the path to a near goal may be blocked."""
         return goals[np.argsort(self.goal_costs(scene, start, goals), kind="stable")]
 
-    def hypotheses(
-        self,
-        scene: EncodedScene,
-        start: np.ndarray,
-        goals: np.ndarray,
-        *,
-        every: bool = False,
-        beams: int = 3,
-    ) -> list[list[CodeSequence]]:
-        """Find the hypotheses of the beam for each goal, the likeliest first.
-
-        Args:
-            scene: result of `encode`.
-            start: (n,) [rad or m].
-            goals: (k, n) [rad or m].
-            every: continue until all hypotheses are finished, not only the best one.
-            beams: K, number of hypotheses for each goal.
-        """
-        decoder = SequenceDecoder(self.network, scene, start, goals)
-        max_length = self.network.config.max_codes + 1
-        return beam_search(decoder, beams=beams, max_length=max_length, every=every)
+    def _decoder(self, scene: EncodedScene, start: np.ndarray, goals: np.ndarray) -> StepDecoder:
+        return SequenceDecoder(self.network, scene, start, goals)
 
 
 class PublishedPredictor(SequencePredictor):
     """A trained model of the authors' architecture."""
 
     each_code_once = False
+    published_search = True
 
     def __init__(self, model: StoredModel, robot: Robot) -> None:
         """Copy the weights; InvalidInputError if they do not fit the robot or the configuration."""
@@ -137,24 +140,13 @@ class PublishedPredictor(SequencePredictor):
         modules = as_modules(model).modules
         self._dictionary, self._network = modules["dictionary"], modules["sequence_model"]
         _, sequence = model.config.stage2
-        self._max_length = sequence.max_length
+        self.max_length = sequence.max_length
 
     def _encoded(self, points: np.ndarray) -> Any:
         """Encode points to scene tokens; InvalidInputError if there are fewer than two."""
         return self._network.encode_cloud(points)
 
-    def hypotheses(
-        self, scene: Any, start: np.ndarray, goals: np.ndarray, *, every: bool = False
-    ) -> list[list[CodeSequence]]:
-        """Find the hypotheses of the authors' beam search for each goal, the likeliest first.
-
-        Args:
-            scene: result of `encode`.
-            start: (n,) [rad or m].
-            goals: (k, n) [rad or m].
-            every: continue until all hypotheses are finished, not only the best one.
-        """
+    def _decoder(self, scene: Any, start: np.ndarray, goals: np.ndarray) -> StepDecoder:
         ends = self._configurations.normalised(np.vstack((start[None], goals))).astype(np.float32)
         starts = ends[:1].repeat(len(goals), axis=0)
-        decoder = self._network.decoder(self._dictionary, scene, starts, ends[1:])
-        return beam_search(decoder, max_length=self._max_length, every=every, published=True)
+        return self._network.decoder(self._dictionary, scene, starts, ends[1:])
