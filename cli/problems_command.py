@@ -31,7 +31,7 @@ from cvqmpt_lab.base.files import (
 )
 from cvqmpt_lab.benchmarks.declarations import SUITES
 from cvqmpt_lab.benchmarks.item import ExecutedProblem, SensedProblem, UnsolvableProblem
-from cvqmpt_lab.benchmarks.motion_bench import ARCHIVE, ROBOTS, fetch
+from cvqmpt_lab.benchmarks.motion_bench import BENCH_ARCHIVE, BENCH_HANDS, fetch
 from cvqmpt_lab.benchmarks.suite import suite_named
 from cvqmpt_lab.cli.options import (
     EXACTLY_ONE_OF,
@@ -123,8 +123,8 @@ def _import(args: argparse.Namespace) -> None:
 def _fetch(args: argparse.Namespace) -> None:
     """Download MotionBenchMaker's problems into the cache."""
     require_choice("set of problems", args.what, ["motion-bench"])
-    print(f"{fetch()}: 700 problems each of {', '.join(ROBOTS)}")
-    print(f"MotionBenchMaker, from {ARCHIVE} on the package index, Apache-2.0")
+    print(f"{fetch()}: 700 problems each of {', '.join(BENCH_HANDS)}")
+    print(f"MotionBenchMaker, from {BENCH_ARCHIVE} on the package index, Apache-2.0")
     print("list them, with those that collide: cvqmpt problems list motion-bench")
 
 

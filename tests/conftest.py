@@ -11,8 +11,11 @@ from command_line import SCAN_START, run_here
 from refusals import DATA
 
 from cvqmpt_lab.base.poses import pose
-from cvqmpt_lab.benchmarks.kitchen import kitchen
-from cvqmpt_lab.benchmarks.place_task import DOOR, DOOR_ANGLE, multi_sequence_task, place_problem
+from cvqmpt_lab.benchmarks.place_task import (
+    multi_sequence_task,
+    place_kitchen,
+    place_problem,
+)
 from cvqmpt_lab.planning.pipeline import solve, with_drawn_goals
 from cvqmpt_lab.robot.load import load_robot, robot_from_source
 from cvqmpt_lab.scene.cloud_files import write_cloud
@@ -62,7 +65,7 @@ def slider_arm(slider_arm_urdf):
 @pytest.fixture(scope="session")
 def open_kitchen():
     """The kitchen of the place task, shelf door open."""
-    return kitchen(door_angles={DOOR: DOOR_ANGLE})
+    return place_kitchen()
 
 
 @pytest.fixture(scope="session")

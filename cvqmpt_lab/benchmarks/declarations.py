@@ -8,10 +8,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from importlib import import_module
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 from cvqmpt_lab.base.errors import InvalidInputError
-from cvqmpt_lab.benchmarks.sampler_products import product_planners
+from cvqmpt_lab.vqmpt.sampler_choice import CHOICES, PREFIX
 
 if TYPE_CHECKING:
     from cvqmpt_lab.benchmarks.item import Solvable, SuiteItem
@@ -42,21 +43,23 @@ class Amount:
     late: bool = False  # run after all amounts that are not late
 
 
-QUICK_PLANNERS = (
-    *("birrt", "birrt-printed", "cells", "ompl-projected", "mpnet", "mpnet-bridged", "cvq-mpt"),
-    *("opt-cvq-mpt", "cvq-wide", "cvq-tuned", "roadmap", "roadmap-cvq"),
-)
-SLOW_PLANNERS = ("atlas-rrt", "tb-rrt")  # most of their time goes into runs that time out
-ALL_PLANNERS = (*QUICK_PLANNERS[:4], *SLOW_PLANNERS, "ompl-bkpiece", *QUICK_PLANNERS[4:])
-CLAIMED_PLANNERS = ("ompl-projected", "cvq-mpt", "opt-cvq-mpt")  # those of the paper's main claims
-FEW_PLANNERS = ("birrt", *CLAIMED_PLANNERS, "roadmap-cvq")
-TUNED_PLANNERS = (*FEW_PLANNERS, "birrt-printed", "cvq-tuned")
-# each replaces one idea of another planner, to show what the idea is worth
-CONTROL_PLANNERS = (
-    # `cvq-tuned` along straight lines instead of predicted sequences: no learning
-    "cvq:nearest-lines+along+free-draws+reach=1",
-    *("roadmap-uniform-0", "roadmap-uniform-1", "roadmap-uniform-2"),
-)
+class PlannerGroups:
+    """Groups of planners that suites run."""
+
+    quick = (
+        *("birrt", "birrt-printed", "cells", "ompl-projected", "roadmap", "mpnet"),
+        *("mpnet-bridged", "cvq-mpt", "opt-cvq-mpt", "cvq-wide", "cvq-tuned", "roadmap-cvq"),
+    )
+    slow = ("atlas-rrt", "tb-rrt")  # most of their time goes into runs that time out
+    every = (*quick[:4], *slow, "ompl-bkpiece", *quick[4:])
+    claimed = ("ompl-projected", "cvq-mpt", "opt-cvq-mpt")  # those of the paper's main claims
+    few = ("birrt", *claimed, "roadmap-cvq")
+    tuned = (*few, "birrt-printed", "cvq-tuned")
+    # `cvq-tuned` along straight lines instead of predicted sequences, and random roadmaps
+    without_learning = (
+        "cvq:nearest-lines+along+free-draws+reach=1",
+        *("roadmap-uniform-0", "roadmap-uniform-1", "roadmap-uniform-2"),
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,7 +70,7 @@ class Suite:
     title: str  # of the table
     problems: Sequence[Any]  # indices, or names of the problems of a folder
     make: Callable[[Any], "SuiteItem"]  # problem or task of an element of `problems`
-    planners: tuple[str, ...] = ALL_PLANNERS  # run unless others are named
+    planners: tuple[str, ...] = PlannerGroups.every  # run unless others are named
     amounts: tuple[Amount, ...] = ()
     # SuiteTable of the suite's rows and the paper's numbers
     table: Callable[..., Any] = Imported("cvqmpt_lab.paper_tables.layouts:place_table")
@@ -128,7 +131,7 @@ def _family(name: str, what: str, *more: Amount) -> Suite:
     """Suite of 50 problems in held-out scenes of a family."""
     planners = (
         *("birrt", "birrt-printed", "cvq-mpt", "opt-cvq-mpt", "cvq-wide", "cvq-tuned"),
-        *("roadmap", "roadmap-cvq", *CONTROL_PLANNERS),
+        *("roadmap", "roadmap-cvq", *PlannerGroups.without_learning),
     )
     return Suite(
         name=f"family-{name}",
@@ -147,10 +150,10 @@ def _place_suites() -> list[Suite]:
     paper = ("place_task.csv", "Place Task")
     controlled = (
         *("birrt", "cvq-mpt", "opt-cvq-mpt", "roadmap-cvq", "guided-birrt"),
-        CONTROL_PLANNERS[0],
+        PlannerGroups.without_learning[0],
         # along the best of six solved paths: a bound on what a predictor can reach
         "cvq:solved+along+free-draws+reach=1+std=0.4",
-        *CONTROL_PLANNERS[1:],
+        *PlannerGroups.without_learning[1:],
         *("roadmap-wrong-scene", "roadmap-no-scene", "roadmap-true-edges"),
     )
     return [
@@ -161,9 +164,9 @@ def _place_suites() -> list[Suite]:
             make=place_problem,
             shown_in_hand=can,
             amounts=(
-                Amount(seeds=5, planners=QUICK_PLANNERS),
+                Amount(seeds=5, planners=PlannerGroups.quick),
                 Amount(problems=60, cutoff=5.0, planners=controlled, folder="controls"),
-                Amount(planners=SLOW_PLANNERS, late=True),
+                Amount(planners=PlannerGroups.slow, late=True),
                 Amount(problems=30, planners=("ompl-bkpiece",), late=True),
                 Amount(profile="small", problems=10, cutoff=2.0),
                 Amount(
@@ -182,7 +185,7 @@ def _place_suites() -> list[Suite]:
             problems=range(2000, 4000),  # no tuning used them
             make=place_problem,
             shown_in_hand=can,
-            planners=(*CLAIMED_PLANNERS, "mpnet"),
+            planners=(*PlannerGroups.claimed, "mpnet"),
             amounts=(Amount(late=True),),
             paper=paper,
         ),
@@ -192,8 +195,8 @@ def _place_suites() -> list[Suite]:
             problems=range(150),
             make=_problem("place_task:place_problem", with_can=True),
             amounts=(
-                Amount(planners=QUICK_PLANNERS),
-                Amount(profile="small", problems=5, cutoff=2.0, planners=FEW_PLANNERS),
+                Amount(planners=PlannerGroups.quick),
+                Amount(profile="small", problems=5, cutoff=2.0, planners=PlannerGroups.few),
             ),
             paper=paper,
         ),
@@ -203,7 +206,7 @@ def _place_suites() -> list[Suite]:
             problems=range(30),
             make=first_goal,
             shown_in_hand=can,
-            amounts=(Amount(cutoff=5.0, planners=QUICK_PLANNERS),),
+            amounts=(Amount(cutoff=5.0, planners=PlannerGroups.quick),),
         ),
         Suite(
             name="place-task-mirrored",
@@ -211,7 +214,7 @@ def _place_suites() -> list[Suite]:
             problems=range(60),
             make=_problem("place_task:mirrored_problem"),
             shown_in_hand=can,
-            planners=(*TUNED_PLANNERS, "cvq-wide", "roadmap"),
+            planners=(*PlannerGroups.tuned, "cvq-wide", "roadmap"),
             amounts=(Amount(),),
         ),
         # the last five planners are entry points of `cvqmpt_lab.experiments.peers`, with an extra
@@ -237,11 +240,34 @@ def _place_suites() -> list[Suite]:
     ]
 
 
+def _product_planners() -> tuple[str, ...]:
+    """Return the learned samplers ``cvq:PREDICTOR+GAUSSIANS+...`` of all compared products."""
+    gaussians = ("decoded", "wide")
+    updates = ("none", "algorithm-2", "projected")
+    other_clouds = CHOICES["cloud"][1:]
+    uniform_share = "uniform=0.15"  # the share that wide Gaussians have, for decoded ones
+    merged = (
+        *product(("transformer", "random", "oracle"), gaussians, updates),
+        *product(("transformer",), gaussians, updates, other_clouds),
+        *product(("transformer", "random"), ("decoded",), updates, (uniform_share,)),
+        ("transformer", "wide", "projected", "all-beams"),
+    )
+    predictors = ("transformer", "transformer-lines", "nearest-lines", "solved")
+    sequences = (
+        ("uniform",),
+        *product(("transformer", "random"), gaussians, updates[:2]),
+        *product(predictors, gaussians, updates[:2], ("every-waypoint",)),
+    )
+    searches = ((), ("raw-draws",), ("reach=1",), ("raw-draws", "reach=1"))
+    searched = ((*words, *search) for words in sequences for search in searches)
+    return tuple(dict.fromkeys(PREFIX + "+".join(words) for words in (*merged, *searched)))
+
+
 def _factorial_suites() -> list[Suite]:
     """Suites that compare all products of the choices of a learned sampler."""
     factorial = partial(
         Suite,
-        planners=("birrt", *product_planners()),
+        planners=("birrt", *_product_planners()),
         table=_table("factorial_table:factorial_table"),
     )
     return [
@@ -271,7 +297,7 @@ def _scene_suites() -> list[Suite]:
         _family(
             "shelves",
             "scenes with shelves",
-            Amount(profile="small", problems=3, cutoff=2.0, planners=FEW_PLANNERS),
+            Amount(profile="small", problems=3, cutoff=2.0, planners=PlannerGroups.few),
         ),
         _family("kitchen-like", "scenes like kitchens"),
         _family("cluttered-table", "tables crowded with slim things"),
@@ -282,7 +308,7 @@ def _scene_suites() -> list[Suite]:
             title="Eight kinds of constraints, zero-shot, in held-out scenes",
             problems=range(160),
             make=_problem("family_task:constraint_problem"),
-            planners=TUNED_PLANNERS,
+            planners=PlannerGroups.tuned,
             amounts=(Amount(cutoff=5.0), Amount(profile="small", problems=8, cutoff=2.0)),
             table=_table(
                 "layouts:group_table",
@@ -309,7 +335,7 @@ def _scene_suites() -> list[Suite]:
             make=_problem("place_task:door_problem"),
             new_scenes=False,
             # no shipped weights fit the arm with the door as its eighth joint
-            planners=("birrt", "ompl-projected", *SLOW_PLANNERS, "ompl-bkpiece", "roadmap"),
+            planners=("birrt", "ompl-projected", *PlannerGroups.slow, "ompl-bkpiece", "roadmap"),
             amounts=(Amount(),),
         ),
         Suite(
@@ -377,8 +403,8 @@ def _scene_suites() -> list[Suite]:
             problems=range(98),
             make=_problem("sensor_task:sensor_problem"),
             amounts=(
-                Amount(seeds=3, planners=QUICK_PLANNERS),
-                Amount(planners=SLOW_PLANNERS, late=True),
+                Amount(seeds=3, planners=PlannerGroups.quick),
+                Amount(planners=PlannerGroups.slow, late=True),
                 Amount(profile="small", problems=2, cutoff=2.0),
             ),
             table=_table("layouts:place_table", sensed=True),
@@ -523,16 +549,16 @@ def _task_suites() -> list[Suite]:
             title="Multi-sequence task: open the shelf, take the can, stand it on the counter",
             problems=range(66),
             amounts=(
-                Amount(planners=QUICK_PLANNERS),
-                Amount(problems=16, planners=SLOW_PLANNERS, late=True),
-                Amount(profile="small", problems=2, cutoff=2.0, planners=FEW_PLANNERS),
+                Amount(planners=PlannerGroups.quick),
+                Amount(problems=16, planners=PlannerGroups.slow, late=True),
+                Amount(profile="small", problems=2, cutoff=2.0, planners=PlannerGroups.few),
             ),
         ),
         multi_sequence(
             name="multi-sequence-more",
             title="Multi-sequence task, 750 more tasks for claims that the first ones left open",
             problems=range(66, 816),
-            planners=CLAIMED_PLANNERS,
+            planners=PlannerGroups.claimed,
             amounts=(Amount(late=True),),
         ),
     ]

@@ -4,22 +4,21 @@ from cvqmpt_lab.benchmarks.item import ExecutedProblem, Solvable, UnsolvableProb
 from cvqmpt_lab.benchmarks.place_task import multi_sequence_task, place_problem
 from cvqmpt_lab.results.row import phase_problem
 
-PLACE_MOTIONS = 50  # the others are tasks
-
 
 def executed_problem(index: int) -> ExecutedProblem | UnsolvableProblem:
     """Return problem or task index // 2 at full speed (even index) or half of it.
 
     Each is executed by two controllers; one of them does not know the load in the hand.
     """
+    motions = 50  # the others are tasks
     number, half = divmod(index, 2)
     speed = 0.5 if half else 1.0
-    if number < PLACE_MOTIONS:
+    if number < motions:
         kind, first_group = "motion", 1
         problem: Solvable | UnsolvableProblem = place_problem(number, with_can=True)
     else:
         kind, first_group = "task", 5
-        problem = multi_sequence_task(number - PLACE_MOTIONS)
+        problem = multi_sequence_task(number - motions)
     if isinstance(problem, UnsolvableProblem):
         return UnsolvableProblem(str(index), problem.reason, problem.kind)
     kind = f"{kind}, speed {speed:g}"

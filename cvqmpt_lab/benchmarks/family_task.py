@@ -1,12 +1,12 @@
 """Problems in held-out scenes of the training families, of the Panda and of other arms.
 
-Upright: between random upright hand poses. Zero-shot over constraints: problem k has kind k modulo
-8; start and goal, a pose of the hand, lie on one manifold. A short search without obstacles solves
-the problem; the straight motion on the manifold does not, if a few tries found such a problem.
+Upright: between random upright hand poses. Kinds of constraints: problem k has kind k modulo 8;
+start and goal pose of the hand lie on one manifold. A short search without obstacles solves the
+problem; a straight motion on the manifold does not, if a few draws contain such a problem.
 Unconstrained: the place task and held-out families without a constraint.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -16,7 +16,12 @@ from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.benchmarks.families import FAMILIES, family_scene
 from cvqmpt_lab.benchmarks.item import UnsolvableProblem
 from cvqmpt_lab.benchmarks.kitchen import kitchen
-from cvqmpt_lab.benchmarks.place_task import GRIP, carried_can, handle_region, place_problem
+from cvqmpt_lab.benchmarks.place_task import (
+    HANDLE_GRIP_M,
+    carried_can,
+    handle_region,
+    place_problem,
+)
 from cvqmpt_lab.constraints.goals import (
     SAMPLE_MARGIN_M,
     goals_in_any_posture,
@@ -37,21 +42,37 @@ from cvqmpt_lab.search.planner_interface import Observation, Query, search, unif
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.space import ConstrainedSpace, direct_motion
 
-PANDA = {"name": "panda"}
-SCENES_DRAWN = 20  # for a problem, until one holds two states with a blocked straight motion
+ARM_SOURCES: Mapping[str, Mapping[str, Any]] = {
+    "panda": {"name": "panda"},
+    "ur5": {"name": "ur5"},
+    "ur10": {"name": "ur10"},
+    "kinova": {"name": "kinova"},
+    "z1": {"name": "z1"},
+    "xarm7": {"name": "xarm7"},
+    "baxter": {"name": "baxter-left"},
+    "talos": {"name": "talos-left-arm"},
+    "tiago": {"name": "tiago-no-hand", "base": {"xyz": [0.0, 0.0, -0.6]}},
+}
+"""Nine arms of seven makers: 6 joints (ur5, ur10, kinova, z1), 7, and 7 on a lifting torso (tiago).
+
+Each moves between two random upright hand poses, upright all the way, in scenes of four families.
+"""
 
 
 def held_out_problem(index: int, family: str) -> PlanningProblem | UnsolvableProblem:
-    """Problem `index`: the first that scenes index, 8000 + index, 8050 + index, ... allow."""
+    """Return problem `index`, in the first of 20 scenes that allows one.
+
+    The scenes are index, 8000 + index, 8050 + index, ..., 8900 + index.
+    """
     # numbers that no other suite and no tuning has used
-    spare = range(8000 + index, 8000 + 50 * (SCENES_DRAWN - 1), 50)
-    return _first_problem(str(index), family, (index, *spare), PANDA)
+    spare = range(8000 + index, 8950, 50)
+    return _first_problem(str(index), family, (index, *spare), ARM_SOURCES["panda"])
 
 
 def _first_problem(
     name: str, family: str, numbers: Sequence[int], robot_source: Mapping[str, Any]
 ) -> PlanningProblem | UnsolvableProblem:
-    """The problem of the first of these scenes that allows one."""
+    """Return the problem of the first of these scenes that allows one."""
     for number in numbers:
         found = family_problem(family, number, robot_source)
         if isinstance(found, PlanningProblem):
@@ -61,9 +82,19 @@ def _first_problem(
 
 
 def family_problem(
-    family: str, number: int, robot_source: Mapping[str, Any] = PANDA, clear: float = 0.001
+    family: str,
+    number: int,
+    robot_source: Mapping[str, Any] = ARM_SOURCES["panda"],
+    clear: float = 0.001,
 ) -> PlanningProblem | UnsolvableProblem:
-    """The problem of a scene: start and goal on the manifold, straight motion between blocked."""
+    """Return the problem of a scene between two upright states with a blocked straight motion.
+
+    Args:
+        family: of `FAMILIES`.
+        number: of the scene in its family.
+        robot_source: json of the robot.
+        clear: distance of start and goal from obstacles [m].
+    """
     scene, robot = family_scene(family, number), robot_from_source(robot_source)
     return upright_problem(str(number), robot, scene, np.random.default_rng([number, 7]), clear)
 
@@ -71,7 +102,15 @@ def family_problem(
 def upright_problem(
     name: str, robot: Robot, scene: Scene, rng: np.random.Generator, clear: float
 ) -> PlanningProblem | UnsolvableProblem:
-    """Problem between a `blocked_pair` of upright states, `clear` [m] from all obstacles."""
+    """Return a problem between two upright states whose straight motion is blocked.
+
+    Args:
+        name: of the problem.
+        robot: that plans.
+        scene: with all obstacles.
+        rng: random generator for the states.
+        clear: distance of start and goal from obstacles [m].
+    """
     middle = 0.5 * (robot.lower + robot.upper)
     problem = PlanningProblem(name, robot, scene, middle, middle[None], (upright_box(),))
     pair = blocked_pair(problem, rng, clear)
@@ -93,16 +132,16 @@ def blocked_pair(
     apart: float = 2.0,
     tries: int = 200,
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Two states (n,) on the manifold, the straight motion between them blocked.
+    """Return two states (n,) on the manifold whose straight motion is blocked; None if not found.
 
     Args:
-        problem: with the manifold.
-        rng: for all draws.
-        clear: distance from obstacles [m].
-        moved: how far apart their hands are at least [m].
-        draws: configurations that are projected.
-        apart: how far apart start and goal are at least [rad].
-        tries: pairs drawn for one whose straight motion is blocked.
+        problem: with robot, scene and constraint.
+        rng: random generator.
+        clear: distance of both states from obstacles [m].
+        moved: minimum distance between the positions of the hand [m].
+        draws: number of configurations that are projected.
+        apart: minimum distance between the states [rad].
+        tries: number of pairs that are drawn.
     """
     space = ConstrainedSpace.of(problem)
     states = problem.robot.random_configurations(rng, draws)
@@ -123,40 +162,22 @@ def blocked_pair(
     return None
 
 
-# Nine arms: between two random upright hand poses, upright all the way, in scenes of every family.
-ROBOT_FAMILIES = ("cubes-spheres", "table", "shelves", "kitchen-like")
-ROBOTS: Mapping[str, Mapping[str, Any]] = {
-    "panda": PANDA,
-    "ur5": {"name": "ur5"},
-    "ur10": {"name": "ur10"},
-    "kinova": {"name": "kinova"},
-    "z1": {"name": "z1"},
-    "xarm7": {"name": "xarm7"},
-    "baxter": {"name": "baxter-left"},
-    "talos": {"name": "talos-left-arm"},
-    "tiago": {"name": "tiago-no-hand", "base": {"xyz": [0.0, 0.0, -0.6]}},
-}
-"""Of seven makers: 6 joints (ur5, ur10, kinova, z1), 7, and 7 on a lifting torso (tiago)."""
-
-
 def robots_problem(index: int) -> PlanningProblem | UnsolvableProblem:
-    """Problem index % 20 of robot index // 20; its rows are named by index and robot."""
+    """Return problem index % 20 of robot index // 20; its rows are named by index and robot."""
     number, k = divmod(index, 20)
-    robot = tuple(ROBOTS)[number]
+    robot = tuple(ARM_SOURCES)[number]
     return replace(other_robot_problem(robot, k), name=phase_problem(str(index), number + 1, robot))
 
 
 def other_robot_problem(robot: str, index: int) -> PlanningProblem | UnsolvableProblem:
-    """Problem `index` of a robot of `ROBOTS`; `pipeline.solve` samples goals from the goal's pose.
+    """Return problem `index` of a robot of `ARM_SOURCES`; `pipeline.solve` samples its goals.
 
     Its scene is the first of 2000 + index, 2020 + index, ... of its family that allows a problem.
     """
     # 2000 to 2399 are numbers that no other suite uses
-    first = 2000 + index
-    numbers = range(first, first + SCENES_DRAWN * 20, 20)
-    found = _first_problem(
-        str(index), ROBOT_FAMILIES[index % len(ROBOT_FAMILIES)], numbers, ROBOTS[robot]
-    )
+    numbers = range(2000 + index, 2400 + index, 20)
+    families = ("cubes-spheres", "table", "shelves", "kitchen-like")
+    found = _first_problem(str(index), families[index % len(families)], numbers, ARM_SOURCES[robot])
     if isinstance(found, UnsolvableProblem):
         return found
     there = TaskSpaceRegion(found.robot.pose(found.goals[0]), np.eye(4), np.zeros((6, 2)))
@@ -164,7 +185,7 @@ def other_robot_problem(robot: str, index: int) -> PlanningProblem | UnsolvableP
 
 
 def unconstrained_problem(index: int) -> PlanningProblem | UnsolvableProblem:
-    """Problem `index` of the place task (below 60), or of the families in turn (from 60 on).
+    """Return problem `index`: below 60 of the place task, from 60 on of the families in turn.
 
     Its rows are named by index and group: kitchen or families.
     """
@@ -178,71 +199,94 @@ def unconstrained_problem(index: int) -> PlanningProblem | UnsolvableProblem:
     return replace(found, name=phase_problem(str(index), *group))
 
 
-MOVED = 0.25  # [m] from the hand's start to its goal at least
-TURN = 0.1  # [rad] that an orientation may be off
-LEVEL = 0.02  # [rad] that a tray may tilt
-EXACT = 0.002  # [m] off a plane, line or arc
+TRAY_TILT_RAD = 0.02  # largest tilt of a tray, and of the axis of an arc
+OFF_CURVE_M = 0.002  # largest distance from a plane, line or arc
 
 
 class HandConstraint(NamedTuple):
     """Constraint, start and goal of the hand, and what it carries."""
 
-    region: TaskSpaceRegion  # where it must stay
-    attachments: tuple[Attachment, ...] = ()  # what it carries
-    start: TaskSpaceRegion | None = None  # where it begins; None: somewhere in its region
-    goal: TaskSpaceRegion | None = None  # where it ends; likewise
+    region: TaskSpaceRegion  # poses that the hand may have
+    attachments: tuple[Attachment, ...] = ()  # objects that it carries
+    start: TaskSpaceRegion | None = None  # poses at the start; None: any in the region
+    goal: TaskSpaceRegion | None = None  # poses at the goal; None: any in the region
 
 
-def _turned_like(T: np.ndarray, about_z: float) -> TaskSpaceRegion:
-    """Orientation of T (4, 4) up to a turn about its z axis [rad], at any position."""
+def _turned_like(
+    T: np.ndarray, about_z: float | None = None, tolerance: float = 0.1
+) -> TaskSpaceRegion:
+    """Return the region of the orientation of T (4, 4) at any position.
+
+    Args:
+        T: pose of the hand.
+        about_z: largest turn about the z axis of T [rad]; None: tolerance.
+        tolerance: largest turn about the other axes [rad].
+    """
     there = T.copy()
     there[:3, 3] = 0.0
-    bound = np.array([FREE] * 3 + [TURN] * 2 + [about_z])
+    about_z = tolerance if about_z is None else about_z
+    bound = np.array([FREE] * 3 + [tolerance] * 2 + [about_z])
     return TaskSpaceRegion(there, np.eye(4), np.stack([-bound, bound], axis=1))
 
 
 def _arc(T: np.ndarray, rng: np.random.Generator) -> HandConstraint:
-    """Rotation about a random axis; the hand turns with it as with a crank."""
+    """Return a rotation about a random axis; the hand turns with it as with a crank."""
     axis = line(_direction(rng), (0.0, 0.0, 0.0)).T0_w.copy()
     axis[:3, 3] = T[:3, 3] + rng.uniform(0.15, 0.4) * axis[:3, 0]
     return HandConstraint(_about(axis, T, 2.5))
 
 
 def _about(axis: np.ndarray, T: np.ndarray, turn: float) -> TaskSpaceRegion:
-    """The hand at T (4, 4), turned about the z axis of a frame (4, 4) by at most +-turn [rad]."""
-    bound = np.array([EXACT] * 3 + [LEVEL] * 2 + [turn])
+    """Return the hand poses T (4, 4) turned about the z axis of a frame (4, 4) by +-turn [rad]."""
+    bound = np.array([OFF_CURVE_M] * 3 + [TRAY_TILT_RAD] * 2 + [turn])
     return TaskSpaceRegion(axis, np.linalg.inv(axis) @ T, np.stack([-bound, bound], axis=1))
 
 
 def _direction(rng: np.random.Generator) -> tuple[float, float, float]:
-    """Unit vector, uniform on the sphere."""
+    """Return a vector whose direction is uniform on the sphere."""
     x, y, z = rng.standard_normal(3)
     return float(x), float(y), float(z)
 
 
-KINDS: Mapping[str, Callable[[np.ndarray, np.random.Generator], HandConstraint]] = {
-    "upright": lambda T, rng: HandConstraint(upright_box()),
-    "fixed-orientation": lambda T, rng: HandConstraint(_turned_like(T, TURN)),
-    "plane": lambda T, rng: HandConstraint(plane(_direction(rng), tuple(T[:3, 3]), EXACT)),
-    "line": lambda T, rng: HandConstraint(line(_direction(rng), tuple(T[:3, 3]), EXACT)),
-    "arc": _arc,
-    "tray": lambda T, rng: HandConstraint(
-        upright_box(LEVEL), (Attachment("tray", Box((0.02, 0.24, 0.18)), pose((0.0, 0.0, 0.19))),)
-    ),
-    # a can is tipped about the axis along which the fingers reach, which keeps its direction
-    "pouring": lambda T, rng: HandConstraint(_turned_like(T, FREE), (carried_can(),)),
-}
-"""Makers of a constraint that a hand at a pose T (4, 4) meets; the door's is `held_door`."""
+CONSTRAINT_KINDS = (
+    *("upright", "fixed-orientation", "plane", "line", "arc", "tray", "pouring", "door"),
+)
+
+
+def hand_constraint(kind: str, T: np.ndarray, rng: np.random.Generator) -> HandConstraint:
+    """Return a constraint that a hand at the pose T (4, 4) meets.
+
+    Args:
+        kind: of `CONSTRAINT_KINDS`, except the door, which is `held_door`.
+        T: pose of the hand.
+        rng: random generator for directions.
+    """
+    if kind == "upright":
+        return HandConstraint(upright_box())
+    if kind == "fixed-orientation":
+        return HandConstraint(_turned_like(T))
+    if kind == "plane":
+        return HandConstraint(plane(_direction(rng), tuple(T[:3, 3]), OFF_CURVE_M))
+    if kind == "line":
+        return HandConstraint(line(_direction(rng), tuple(T[:3, 3]), OFF_CURVE_M))
+    if kind == "arc":
+        return _arc(T, rng)
+    if kind == "tray":
+        tray = Attachment("tray", Box((0.02, 0.24, 0.18)), pose((0.0, 0.0, 0.19)))
+        return HandConstraint(upright_box(TRAY_TILT_RAD), (tray,))
+    # pouring: a can is tipped about the axis along which the fingers reach
+    return HandConstraint(_turned_like(T, about_z=FREE), (carried_can(),))
 
 
 def held_door(rng: np.random.Generator) -> tuple[Scene, HandConstraint]:
-    """The kitchen without a door of the shelf: the hand holds it firmly and carries it on an arc.
+    """Return the kitchen without a door of the shelf, which the hand holds and moves on an arc.
 
     Unlike in `door_problem` the door is carried by seven joints and is not a joint itself.
     """
-    # [rad] between which the door is moved, and how far at least
+    # smallest and largest angle of the door, and the smallest difference of start and goal [rad]
     ajar, wide, swung = 0.15, 1.5, 0.6
-    scene, door = kitchen(), str(rng.choice(("dagger_door_left", "dagger_door_right")))
+    scene = kitchen()
+    door = str(rng.choice(("dagger_door_left", "dagger_door_right")))
     hinge = scene.articulation(door)
     sign = 1.0 if hinge.upper > 0.0 else -1.0
     first = rng.uniform(ajar, wide - swung)
@@ -260,9 +304,13 @@ def held_door(rng: np.random.Generator) -> tuple[Scene, HandConstraint]:
 
 
 def _carried(scene: Scene, name: str, T: np.ndarray, trim: float = 0.02) -> Attachment:
-    """A part of the door in the frame of the hand at a pose (4, 4).
+    """Return a part of the door in the frame of the hand at a pose (4, 4).
 
-    trim: cut off all round its panel [m], which fits its casing to half a millimetre.
+    Args:
+        scene: with the door.
+        name: of the part.
+        T: pose of the hand.
+        trim: width that is cut off at all edges of the panel [m]: its gap is half a millimetre.
     """
     item = scene[name]
     shape = item.shape
@@ -273,18 +321,16 @@ def _carried(scene: Scene, name: str, T: np.ndarray, trim: float = 0.02) -> Atta
     return Attachment(name.rpartition("/")[2], shape, T_hand_object, item.mass)
 
 
-NAMES = (*KINDS, "door")
-
-
 def constraint_problem(index: int) -> PlanningProblem | UnsolvableProblem:
-    """Problem `index` with its goals; indices from 160 on are for tuning."""
-    number, kind = divmod(index, len(NAMES))
-    name = phase_problem(str(index), kind + 1, NAMES[kind])
+    """Return problem `index` with its goals; indices from 160 on are for tuning."""
+    number, place = divmod(index, len(CONSTRAINT_KINDS))
+    kind = CONSTRAINT_KINDS[place]
+    name = phase_problem(str(index), place + 1, kind)
     rng = np.random.default_rng([index, 11])
     easy = None
-    # constraints drawn for one whose goals are within reach, none of them straight ahead
+    # until the goals can be reached, and none of them by a straight motion
     for _ in range(12):
-        posed = _posed(NAMES[kind], number, name, rng)
+        posed = _posed(kind, number, name, rng)
         if posed is None or not len(posed.goals) or not _within_reach(posed):
             continue
         if not trivial(posed):
@@ -296,13 +342,13 @@ def constraint_problem(index: int) -> PlanningProblem | UnsolvableProblem:
 
 
 def trivial(problem: PlanningProblem) -> bool:
-    """Whether a straight motion on the manifold leads from the start to a goal."""
+    """Return whether a straight motion on the manifold leads from the start to a goal."""
     space = ConstrainedSpace.of(problem)
     return any(direct_motion(space, problem.start, goal) is not None for goal in problem.goals)
 
 
 def _within_reach(problem: PlanningProblem) -> bool:
-    """Whether a short search without obstacles finds a path: joint limits may cut goals off."""
+    """Return whether a short search without obstacles finds a path within the joint limits."""
     alone = ConstrainedSpace.of(replace(problem, scene=Scene("empty", ())))
     budget, rng = Budget(iterations=300), np.random.default_rng(0)
     query = Query.of(alone, problem.start, problem.goals, budget, rng)
@@ -310,7 +356,7 @@ def _within_reach(problem: PlanningProblem) -> bool:
 
 
 def _posed(kind: str, number: int, name: str, rng: np.random.Generator) -> PlanningProblem | None:
-    """A constraint of a kind, a free start that meets it, and goals; None if none is found."""
+    """Return a problem with a constraint of a kind, a free start and goals; None if not found."""
     scene, robot, hand = _drawn(kind, number, rng)
     middle = 0.5 * (robot.lower + robot.upper)
     problem = PlanningProblem(
@@ -323,10 +369,11 @@ def _posed(kind: str, number: int, name: str, rng: np.random.Generator) -> Plann
         )
         goal = hand.goal
     else:
-        start, end = blocked_pair(problem, rng, SAMPLE_MARGIN_M, MOVED, draws=600) or (None, None)
-        goal = (
-            None if end is None else TaskSpaceRegion(robot.pose(end), np.eye(4), np.zeros((6, 2)))
-        )
+        pair = blocked_pair(problem, rng, SAMPLE_MARGIN_M, moved=0.25, draws=600)
+        if pair is None:
+            return None
+        start, end = pair
+        goal = TaskSpaceRegion(robot.pose(end), np.eye(4), np.zeros((6, 2)))
     if start is None:
         return None
     problem = replace(problem, start=start, goals=np.empty((0, robot.dof)), goal_region=goal)
@@ -335,14 +382,14 @@ def _posed(kind: str, number: int, name: str, rng: np.random.Generator) -> Plann
 
 
 def _drawn(kind: str, number: int, rng: np.random.Generator) -> tuple[Scene, Robot, HandConstraint]:
-    """A scene, the arm, and what a hand keeps there at a pose in which the arm is free."""
+    """Return a scene, the arm, and a constraint that a free configuration of the arm meets."""
     if kind == "door":
         scene, hand = held_door(rng)
-        return scene, panda(GRIP), hand
+        return scene, panda(HANDLE_GRIP_M), hand
     families, robot = tuple(FAMILIES), panda()
     # numbers that no other suite uses begin at 2500
     scene = family_scene(families[number % len(families)], 2500 + number)
     checker = shared_checker(robot, scene, (), SAMPLE_MARGIN_M)
     drawn = robot.random_configurations(rng, 100)
     free = next((q for q in drawn if not checker.in_collision(q)), drawn[0])
-    return scene, robot, KINDS[kind](robot.pose(free), rng)
+    return scene, robot, hand_constraint(kind, robot.pose(free), rng)

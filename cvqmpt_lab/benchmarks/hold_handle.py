@@ -1,4 +1,4 @@
-"""How the hand of any arm holds a handle: a bar between its fingers, or a knob that it touches."""
+"""Grips of a handle for the hand of any arm: a bar between fingers, or a knob that is touched."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -19,20 +19,20 @@ from cvqmpt_lab.robot.urdf import Joint, read_urdf
 from cvqmpt_lab.scene.coal_shapes import coal_shape, shape_distance
 from cvqmpt_lab.scene.shapes import Box
 
-BAR = 0.014  # [m] thickness of a bar
+BAR_EDGE_M = 0.014  # edge of the square section of a bar
 
 
 @dataclass(frozen=True, eq=False)
 class Grip:
-    """Where a hand holds a handle, and what its fingers do.
+    """Pose of a hand that holds a handle, with its fingers open and closed.
 
     The frame of the handle: x away from the hand, y along the bar.
     """
 
     robot: Robot  # with its fingers open
-    axis: Axis  # of the end effector, along which it comes to the handle
+    axis: Axis  # of the end effector, along which it approaches the handle
     T_handle_hand: np.ndarray  # (4, 4)
-    beyond: float  # how far the hand reaches past the handle's origin [m]
+    beyond: float  # distance by which the hand extends past the handle's origin [m]
     bar: float  # length of a bar [m]; 0: a knob, whose face is the handle's origin
     touching: tuple[str, ...]  # pieces of the robot that touch the handle
     opened: Mapping[str, Any] = field(default_factory=dict)  # fields of the robot that open it
@@ -40,18 +40,21 @@ class Grip:
 
 
 def hold_of(source: Mapping[str, Any]) -> Grip:
-    """How an arm holds a handle; InvalidInputError for a hand without collision bodies.
+    """Return the grip of an arm for the json of its robot.
 
-    Fingers are the joints behind the arm's last one. They are opened to the limit at which a bar
-    gets in deepest, and closed until they touch it. Where no bar gets in, the hand touches a knob.
+    Fingers are the joints behind the arm's last joint. They are opened to the limit at which a bar
+    fits in deepest, and closed until they touch it. If no bar fits, the hand touches a knob.
+
+    Raises:
+        InvalidInputError: the hand has no collision bodies.
     """
     fingers = _fingers(source)
-    ways = [
+    grips = [
         (hold, share)
         for share in ((1.0, 0.0) if fingers else (0.0,))
         for hold in _bars(source, _set(source, fingers, share))
     ]
-    for hold, share in sorted(ways, key=lambda way: -way[0].beyond):
+    for hold, share in sorted(grips, key=lambda grip: -grip[0].beyond):
         closed = _closed(source, hold, fingers, share)
         if closed.touching:
             return closed
@@ -59,7 +62,7 @@ def hold_of(source: Mapping[str, Any]) -> Grip:
 
 
 def _fingers(source: Mapping[str, Any]) -> list[Joint]:
-    """The joints of the URDF that move behind the arm's last joint."""
+    """Return the joints of the URDF that move behind the arm's last joint."""
     robot, urdf = robot_from_source(source), read_urdf(Path(read_source(source).urdf))
     last = robot.joint_names[-1]
     behind = [
@@ -73,7 +76,7 @@ def _fingers(source: Mapping[str, Any]) -> list[Joint]:
 
 
 def _set(source: Mapping[str, Any], fingers: Sequence[Joint], share: float) -> dict[str, Any]:
-    """Fields of the robot with fingers at a share of their range; {} without fingers."""
+    """Return the fields of the robot with fingers at a share of their range; {} without fingers."""
     if source.get("name") == "panda":
         return {"finger_opening": round(share * PANDA_FINGER_OPENING_M, 4)}
     at = {f.name: round(f.lower + share * (f.upper - f.lower), 4) for f in fingers}
@@ -81,7 +84,11 @@ def _set(source: Mapping[str, Any], fingers: Sequence[Joint], share: float) -> d
 
 
 def pieces_of(robot: Robot, end_effector: str | None = None) -> dict[str, np.ndarray]:
-    """Corners (k, 3) of the pieces of a hand, in the frame of the end effector."""
+    """Return the corners (k, 3) of the pieces of a hand in the frame of the end effector [m].
+
+    Raises:
+        InvalidInputError: the end effector has no collision bodies.
+    """
     row, T = robot.hand(end_effector)
     found = {
         piece.name: (piece.vertices_in_link - T[:3, 3]) @ T[:3, :3]
@@ -91,18 +98,18 @@ def pieces_of(robot: Robot, end_effector: str | None = None) -> dict[str, np.nda
     if not found:
         raise InvalidInputError(
             f"robot {robot.name} has no collision bodies at "
-            f"{end_effector or robot.end_effector}, so nothing says where a handle touches it; "
+            f"{end_effector or robot.end_effector}, so it is unknown where a handle touches it; "
             "name another --end-effector, or a URDF with such bodies"
         )
     return found
 
 
 def outward(robot: Robot, end_effector: str | None = None) -> Axis:
-    """The axis of an end effector that points away from its last joint."""
+    """Return the axis of an end effector that points away from its last joint."""
     _, T = robot.hand(end_effector)
     away = T[:3, :3].T @ T[:3, 3]
     if np.linalg.norm(away) < 0.01:
-        # the frame of the last link: long fingers say where it points, else the joint's axis
+        # the frame of the last link: the direction of long fingers, else the joint's axis
         corners = np.concatenate(list(pieces_of(robot, end_effector).values()))
         away = T[2, :3] * (-1.0 if corners.mean(axis=0) @ T[2, :3] > 0.0 else 1.0)
         if np.abs(corners).max() > 0.08:
@@ -112,7 +119,7 @@ def outward(robot: Robot, end_effector: str | None = None) -> Axis:
 
 
 def _frame(axis: Axis, turned: bool) -> np.ndarray:
-    """R_hand_handle (3, 3): x is the axis, y one of the two across it."""
+    """Return R_hand_handle (3, 3): x is the axis, y one of the two axes across it."""
     k = "xyz".index(axis[-1])
     x = np.eye(3)[k] * (-1.0 if axis[0] == "-" else 1.0)
     y = np.eye(3)[(k + 1 + turned) % 3]
@@ -120,7 +127,7 @@ def _frame(axis: Axis, turned: bool) -> np.ndarray:
 
 
 def _gaps(pieces: Mapping[str, np.ndarray], box: Box, T_hand_box: np.ndarray) -> dict[str, float]:
-    """Distance of each piece of the hand to a box [m]."""
+    """Return the distance of each piece of the hand to a box [m]."""
     shape = coal_shape(box)
     return {
         name: shape_distance(coal_hull(corners), np.eye(4), shape, T_hand_box)
@@ -129,9 +136,12 @@ def _gaps(pieces: Mapping[str, np.ndarray], box: Box, T_hand_box: np.ndarray) ->
 
 
 def _bars(source: Mapping[str, Any], opened: Mapping[str, Any], play: float = 0.003) -> list[Grip]:
-    """Bars across both ways between the fingers, where they get in deep enough.
+    """Return grips of bars in both directions across the hand, if they fit in deep enough.
 
-    play: between open fingers and a bar, at least [m].
+    Args:
+        source: json of the robot.
+        opened: fields of the robot that open its fingers.
+        play: minimum distance between open fingers and a bar [m].
     """
     robot, found = robot_from_source({**source, **opened}), []
     pieces, axis = pieces_of(robot), outward(robot)
@@ -140,10 +150,10 @@ def _bars(source: Mapping[str, Any], opened: Mapping[str, Any], play: float = 0.
         T = rigid(R)
         corners = np.concatenate(list(pieces.values())) @ R
         tip, length = corners[:, 0].max(), round(2.0 * np.abs(corners[:, 1]).max() + 0.06, 2)
-        at = tip + BAR
+        at = tip + BAR_EDGE_M
         while tip - at < 0.013:
             T[:3, 3] = (at - 0.001) * R[:, 0]
-            if min(_gaps(pieces, Box((BAR, length, BAR)), T).values()) < play:
+            if min(_gaps(pieces, Box((BAR_EDGE_M, length, BAR_EDGE_M)), T).values()) < play:
                 break
             at -= 0.001
         T[:3, 3] = at * R[:, 0]
@@ -153,9 +163,12 @@ def _bars(source: Mapping[str, Any], opened: Mapping[str, Any], play: float = 0.
 
 
 def _knob(robot: Robot, half: float = 0.015, gap: float = 0.002) -> Grip:
-    """A knob that the hand touches: its end is a square of edge 2 half [m].
+    """Return the grip of a knob that the hand touches.
 
-    gap: between them [m]; contact would count as a collision before the hand holds it.
+    Args:
+        robot: with its hand.
+        half: half edge of the square end of the knob [m].
+        gap: between hand and knob [m]; contact counts as a collision until the hand holds it.
     """
     pieces, axis = pieces_of(robot), outward(robot)
     R = _frame(axis, False)
@@ -174,8 +187,16 @@ def _knob(robot: Robot, half: float = 0.015, gap: float = 0.002) -> Grip:
 
 
 def _closed(source: Mapping[str, Any], hold: Grip, fingers: Sequence[Joint], opened: float) -> Grip:
-    """The same with the fingers closed until they touch the bar, from a share of their range."""
-    box, T = Box((BAR, hold.bar, BAR)), np.linalg.inv(hold.T_handle_hand)
+    """Return a grip with the fingers closed until they touch the bar.
+
+    Args:
+        source: json of the robot.
+        hold: grip with open fingers.
+        fingers: joints that close.
+        opened: share of the fingers' range at which they are open.
+    """
+    box = Box((BAR_EDGE_M, hold.bar, BAR_EDGE_M))
+    T = np.linalg.inv(hold.T_handle_hand)
     fields, gaps = hold.opened, _gaps(pieces_of(hold.robot), box, T)
     share, step = 1.0 - opened, 2.0 * opened - 1.0  # first all the way, then halves of the rest
     for _ in range(11 if fingers else 0):
@@ -195,5 +216,5 @@ def _closed(source: Mapping[str, Any], hold: Grip, fingers: Sequence[Joint], ope
 
 
 def _link(piece: str) -> str:
-    """The link of a piece, whose name ends with a number."""
+    """Return the link of a piece, whose name ends with a number."""
     return piece.rpartition("_")[0]

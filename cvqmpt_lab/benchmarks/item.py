@@ -1,4 +1,4 @@
-"""Items of suites beside problems and tasks: unsolvable problems, problems in sensed maps."""
+"""Items of suites other than problems and tasks: unsolvable, sensed and executed problems."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -11,19 +11,19 @@ from cvqmpt_lab.tasks.task import Task
 
 @dataclass(frozen=True)
 class UnsolvableProblem:
-    """An item of a suite for which no problem could be made."""
+    """Item of a suite for which no problem could be made."""
 
     name: str
-    reason: str  # in words
-    kind: FailReason = FailReason.NO_START  # the failure that its result rows state
+    reason: str  # text for readers
+    kind: FailReason = FailReason.NO_START  # reason of failure in its rows
 
 
 @dataclass(frozen=True)
 class SensedProblem:
-    """A problem whose scene is a map made from depth images, and the real scene."""
+    """Problem whose scene is a map made from depth images, and the real scene."""
 
-    problem: PlanningProblem  # what planners are given: its scene is the map
-    truth: Scene  # the real scene, of which the images were taken
+    problem: PlanningProblem  # given to planners: its scene is the map
+    truth: Scene  # real scene of the images
     seconds: float  # time to make the problem from image files [s]
 
     @property
@@ -37,7 +37,7 @@ Solvable = PlanningProblem | Task
 
 @dataclass(frozen=True)
 class ExecutedProblem:
-    """A problem or task whose motion is executed in a physics simulation."""
+    """Problem or task whose motion is executed in a physics simulation."""
 
     name: str
     problem: Solvable

@@ -1,12 +1,12 @@
-"""MotionBenchMaker: 700 problems each of a Panda, a UR5 and a Fetch, in scenes that others made.
+"""MotionBenchMaker: 700 problems each of a Panda, a UR5 and a Fetch in published scenes.
 
-Robots are those of the set: the UR5 stands 0.91 m up with a gripper, and the Fetch, whose torso
-lifts, is in no package of ours.
+The robots are those of the benchmark: the UR5 has a gripper and stands 0.91 m high; the Fetch,
+whose torso lifts, is in none of the packages that we depend on.
 
-Their archive is fetched, checked by digest and unpacked into the cache. It is the source archive of
-`vamp-planner` (Apache-2.0) on the package index that pip is set up with: problems as yaml of
-MoveIt, and the robots that they were made with. Nothing in it is run or unpickled by us; pip makes
-sure of its digest before it asks a build tool for its metadata.
+The archive is fetched, checked by digest and unpacked into the cache. It is the source archive of
+`vamp-planner` (Apache-2.0) on the package index that pip uses: problems as yaml of MoveIt, and
+their robots. We run and unpickle nothing of it; pip compares its digest before it asks a build tool
+for its metadata.
 """
 
 import hashlib
@@ -41,70 +41,74 @@ from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.moveit_scenes import scene_of_yaml
 
-PACKAGE, VERSION = "vamp-planner", "0.6.4"
+BENCH_ARCHIVE = "vamp_planner-0.6.4.tar.gz"
 # sha256 of the archive, and of the problems of each robot in it
-DIGESTS: Mapping[str, str] = {
-    "vamp_planner-0.6.4.tar.gz": "d3150c6b67ff941af9ad56480b31d3fb73b12211ea21dc684f7737b059f6daba",
+BENCH_DIGESTS: Mapping[str, str] = {
+    BENCH_ARCHIVE: "d3150c6b67ff941af9ad56480b31d3fb73b12211ea21dc684f7737b059f6daba",
     "panda": "4e1509e99c53da769ee6a338cf1173ecf601e4ec16f24081d3894ef358243b69",
     "ur5": "576c199b30a0150d176362207494e6f3e409eb74c55f5225e671a00decfcb5b0",
     "fetch": "8f5d7a38acbd56326ba75b48c2a0058abc8ec7eaf0f5ea9786a881d1efbfacce",
 }
-ARCHIVE, *ROBOTS = DIGESTS
+BENCH_HANDS = {"panda": "panda_hand", "ur5": "tool0", "fetch": "gripper_link"}  # end effectors
 
 
 def fetch() -> Path:
-    """Download the archive, unless it is in the cache, check it and unpack it; its folder.
+    """Download the archive unless it is in the cache, check and unpack it; return the folder.
 
-    InvalidInputError says why there is none, or names the digest of another file.
+    Raises:
+        InvalidInputError: the archive cannot be downloaded, or has another digest.
     """
     folder = bench_folder()
-    archive = folder / ARCHIVE
+    archive = folder / BENCH_ARCHIVE
     if not archive.exists():
         _download(archive)
-    require_digest(read_bytes(archive, "archive"), ARCHIVE, archive)
+    require_digest(read_bytes(archive, "archive"), BENCH_ARCHIVE, archive)
     unpack(archive, folder / "robots")
     return folder
 
 
 def bench_folder() -> Path:
-    """The folder of archive and robots in this user's cache."""
+    """Return the folder of archive and robots in this user's cache."""
     folder = trusted_cache(cache_folder() / "motion-bench")
     if folder is None:
         raise InvalidInputError(
-            f"no folder for {ARCHIVE}: set XDG_CACHE_HOME to a folder that only you can write"
+            f"no folder for {BENCH_ARCHIVE}: set XDG_CACHE_HOME to a folder that only you can write"
         )
     return folder
 
 
 def require_digest(data: bytes, name: str, path: Path) -> None:
-    """Refuse data that are not those of a name in `DIGESTS`."""
-    found = hashlib.sha256(data).hexdigest()
-    if found != DIGESTS[name]:
+    """Refuse data whose digest is not that of a name in `BENCH_DIGESTS`."""
+    found, expected = hashlib.sha256(data).hexdigest(), BENCH_DIGESTS[name]
+    if found != expected:
         raise InvalidInputError(
-            f"{path} is changed or cut: its sha256 is {found}, not {DIGESTS[name]}; delete it, "
-            "then: cvqmpt problems fetch motion-bench"
+            f"{path} is changed or cut: its sha256 is {found}, not {expected}; delete it, then: "
+            "cvqmpt problems fetch motion-bench"
         )
 
 
 def _download(archive: Path) -> None:
-    """Let pip download the archive; it asks for the metadata, but builds nothing."""
+    """Download the archive by pip, which asks for its metadata and builds nothing."""
+    package, version = "vamp-planner", "0.6.4"
     with tempfile.TemporaryDirectory(dir=archive.parent) as place:
         wanted = Path(place, "wanted.txt")
-        wanted.write_text(f"{PACKAGE}=={VERSION} --hash=sha256:{DIGESTS[ARCHIVE]}\n", "utf-8")
-        options = ["--no-deps", "--no-binary", PACKAGE, "--disable-pip-version-check"]
+        wanted.write_text(
+            f"{package}=={version} --hash=sha256:{BENCH_DIGESTS[BENCH_ARCHIVE]}\n", "utf-8"
+        )
+        options = ["--no-deps", "--no-binary", package, "--disable-pip-version-check"]
         words = [sys.executable, "-m", "pip", "download", *options, "-r", str(wanted), "-d", place]
         done = subprocess.run(words, capture_output=True, text=True, errors="replace")
-        found = Path(place, ARCHIVE)
+        found = Path(place, BENCH_ARCHIVE)
         if done.returncode or not found.is_file():
             raise InvalidInputError(
-                f"pip cannot download {PACKAGE} {VERSION}: {_reason(done.stderr)}; or put "
-                f"{ARCHIVE} into {archive.parent}"
+                f"pip cannot download {package} {version}: {_reason(done.stderr)}; or put "
+                f"{BENCH_ARCHIVE} into {archive.parent}"
             )
         found.replace(archive)
 
 
 def _reason(said: str) -> str:
-    """What pip said that matters: digests that differ, or its last error."""
+    """Return the digests that pip compared, or its last error."""
     lines = [line.strip() for line in said.splitlines() if line.strip()]
     digests = [line for line in lines if re.match(r"(Expected sha256|Got) ", line)]
     errors = [line for line in lines if line.startswith("ERROR")] or lines or ["it says nothing"]
@@ -112,17 +116,18 @@ def _reason(said: str) -> str:
 
 
 def unpack(archive: Path, folder: Path, most: int = 2**26) -> None:
-    """Write descriptions and problems of `ROBOTS` into a folder; other members are left out.
+    """Write descriptions and problems of the robots into a folder; leave out other members.
 
     Args:
-        archive: as `ARCHIVE`.
-        folder: that is replaced.
-        most: bytes of one file.
+        archive: file of the archive.
+        folder: is replaced.
+        most: largest size of one file [bytes].
 
-    InvalidInputError if the archive cannot be read, or lacks a robot.
+    Raises:
+        InvalidInputError: the archive cannot be read, or lacks a robot.
     """
     wanted = re.compile(
-        rf"[^/]+/resources/((?:{'|'.join(ROBOTS)})/(?:[\w-]+/)*[\w-]+"
+        rf"[^/]+/resources/((?:{'|'.join(BENCH_HANDS)})/(?:[\w-]+/)*[\w-]+"
         r"\.(?:urdf|srdf|stl|obj|dae|tar\.bz2))",
         re.IGNORECASE | re.ASCII,
     )
@@ -140,7 +145,7 @@ def unpack(archive: Path, folder: Path, most: int = 2**26) -> None:
                     write_bytes(make_folder(path.parent) / path.name, data.read())
         except (tarfile.TarError, EOFError, OSError, zlib.error) as error:
             raise InvalidInputError(f"{archive} is changed or cut: {error}") from error
-        for robot in ROBOTS:
+        for robot in BENCH_HANDS:
             for name in (f"{robot}.urdf", f"{robot}.srdf", "problems.tar.bz2"):
                 if not Path(place, robot, name).is_file():
                     raise InvalidInputError(f"{archive} lacks resources/{robot}/{name}")
@@ -150,9 +155,10 @@ def unpack(archive: Path, folder: Path, most: int = 2**26) -> None:
 
 @lru_cache(maxsize=8)
 def problem_texts(robot: str) -> Mapping[str, str]:
-    """The yaml texts of a robot's problems, by "SET/scene0001" and "SET/request0001".
+    """Return the yaml texts of a robot's problems by "SET/scene0001" and "SET/request0001".
 
-    InvalidInputError if they were not fetched, or are not those of the archive.
+    Raises:
+        InvalidInputError: they were not fetched, or differ from those of the archive.
     """
     path = robot_file(robot, "problems.tar.bz2")
     data = read_bytes(path, "problems")
@@ -161,7 +167,7 @@ def problem_texts(robot: str) -> Mapping[str, str]:
 
 
 def read_texts(data: bytes, robot: str) -> dict[str, str]:
-    """The texts in a ``problems.tar.bz2``, whose members are problems/SET_ROBOT/scene0001.yaml."""
+    """Return the texts of a ``problems.tar.bz2`` with members problems/SET_ROBOT/scene0001.yaml."""
     named = re.compile(rf"problems/(\w+)_{robot}/((?:scene|request)\d{{4}})\.yaml")
     texts = {}
     with tarfile.open(fileobj=io.BytesIO(data), mode="r:bz2") as tar:
@@ -174,7 +180,7 @@ def read_texts(data: bytes, robot: str) -> dict[str, str]:
 
 
 def robot_file(robot: str, name: str) -> Path:
-    """A file of a robot in the cache; InvalidInputError if the archive was not fetched."""
+    """Return a file of a robot in the cache; InvalidInputError if the archive was not fetched."""
     path = bench_folder() / "robots" / robot / name
     if not path.is_file():
         raise InvalidInputError(
@@ -183,20 +189,18 @@ def robot_file(robot: str, name: str) -> Path:
     return path
 
 
-HANDS = {"panda": "panda_hand", "ur5": "tool0", "fetch": "gripper_link"}  # end effectors
-SETS = (
-    *("bookshelf_small", "bookshelf_tall", "bookshelf_thin", "box", "cage"),
-    *("table_pick", "table_under_pick"),
-)
-
-
 def motion_bench_problem(index: int) -> PlanningProblem | UnsolvableProblem:
-    """Problem index % 100 of set index // 100 % 7 of robot index // 700, one start to one goal.
+    """Return problem index % 100 of set index // 100 % 7 of robot index // 700.
 
-    Its rows are named by index and robot. Unsolvable where start or goal collide in our model.
+    It has one start and one goal, and is unsolvable if one of them collides in our model. Its rows
+    are named by index and robot.
     """
-    number, place = divmod(index, 100 * len(SETS))
-    robot, scenes = tuple(HANDS)[number], SETS[place // 100]
+    sets = (
+        *("bookshelf_small", "bookshelf_tall", "bookshelf_thin", "box", "cage"),
+        *("table_pick", "table_under_pick"),
+    )
+    number, place = divmod(index, 100 * len(sets))
+    robot, scenes = tuple(BENCH_HANDS)[number], sets[place // 100]
     name, number_in_set = phase_problem(str(index), number + 1, robot), f"{place % 100 + 1:04d}"
     texts = problem_texts(robot)
     scene, request = (texts[f"{scenes}/{kind}{number_in_set}"] for kind in ("scene", "request"))
@@ -216,18 +220,25 @@ def motion_bench_problem(index: int) -> PlanningProblem | UnsolvableProblem:
 
 @lru_cache(maxsize=8)
 def bench_robot(robot: str) -> Robot:
-    """A robot of the set, as its archive describes it."""
+    """Return a robot as the archive describes it."""
     urdf, srdf = (str(robot_file(robot, f"{robot}.{end}")) for end in ("urdf", "srdf"))
-    return robot_from_source({"urdf": urdf, "srdf": srdf, "end_effector": HANDS[robot]})
+    return robot_from_source({"urdf": urdf, "srdf": srdf, "end_effector": BENCH_HANDS[robot]})
 
 
 def problem_of_texts(
     name: str, robot: Robot, scene_name: str, scene: str, request: str
 ) -> PlanningProblem:
-    """The problem of a scene and a motion request of MoveIt, both yaml.
+    """Return the problem of a scene and a motion request of MoveIt.
 
-    Joints are looked up by name; values up to 1e-5 beyond a limit are moved to it: requests state
-    joints that turn without end, which the robot's file bounds by 3.14159 rad.
+    Values up to 1e-5 outside a joint's limits are moved to the limit: requests hold joints that
+    turn without end, which the robot's file bounds by 3.14159 rad.
+
+    Args:
+        name: of the problem.
+        robot: whose joints the request names.
+        scene_name: name of the scene, for error messages.
+        scene: yaml text.
+        request: yaml text.
     """
     asked = yaml_value(request)
     try:
@@ -245,11 +256,12 @@ def problem_of_texts(
 
 
 def level_problem(index: int, tilt: float = 0.1) -> PlanningProblem | UnsolvableProblem:
-    """The same with a level hand: its axis that points up at the goal points up all the way.
+    """Return the same problem with a level hand.
 
-    The start is the given one where the hand is level there; else one with the hand at the same
-    place, or within 0.1 or 0.3 m of it, found around the given start or anywhere. It leans by at
-    most a fifth of the tilt: planners that translate the constraint have bounds inside of it.
+    The hand's axis that points up at the goal points up on the whole path. If the given start is
+    not level, another start is found: with the hand at the same position, or within 0.1 or 0.3 m of
+    it, near the given start or anywhere. It leans by at most a fifth of the tilt, because planners
+    that translate the constraint have narrower bounds.
 
     Args:
         index: as in `motion_bench_problem`.

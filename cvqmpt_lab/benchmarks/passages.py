@@ -1,6 +1,6 @@
-"""Narrow passages: a pen drawn through a maze on a plane, a hand led into a cage, through a slot.
+"""Narrow passages: a pen in a maze on a plane, a hand that moves into a cage or through a slot.
 
-Problems are a function of a width and an index; suite `passages` has some of several widths.
+Problems are a function of a width and an index; suite `passages` has several widths.
 """
 
 import math
@@ -18,11 +18,14 @@ from cvqmpt_lab.results.row import phase_problem
 from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, Cylinder
 
+Passage = Callable[[float, int], PlanningProblem | UnsolvableProblem]
+
 
 def maze_problem(width: float, index: int) -> PlanningProblem | UnsolvableProblem:
-    """A Panda's pen on a plane goes through three corridors `width` [m] wide, joined at their ends.
+    """Return a problem in which a pen moves on a plane through three joined corridors.
 
-    The place of the maze, its turn and the start's posture depend on the index.
+    The position and the turn of the maze and the posture at the start depend on the index.
+    width: of a corridor [m].
     """
     rng = np.random.default_rng([index, round(1e4 * width)])
     thick, length, pitch = 0.008, 0.5, width + 0.008
@@ -30,7 +33,7 @@ def maze_problem(width: float, index: int) -> PlanningProblem | UnsolvableProble
     walls = []
     for k in range(4):
         inner = k in (1, 2)
-        # the gap of inner walls is at one end and then at the other
+        # inner walls have their gap at one end and at the other in turn
         shift = (k - 1.5) * width if inner else 0.0
         size = Box((thick, length - width if inner else length + 2 * thick, 0.08))
         walls.append(
@@ -56,12 +59,14 @@ def maze_problem(width: float, index: int) -> PlanningProblem | UnsolvableProble
 
 
 def cage_problem(opening: float, index: int) -> PlanningProblem | UnsolvableProblem:
-    """A Panda's level hand goes into a cage of bars with one gap `opening` [m] wide.
+    """Return a problem in which an upright hand moves into a cage of bars with one gap.
 
-    The place of the cage, the gap's side and the start's posture depend on the index.
+    The position of the cage, the direction of the gap and the posture at the start depend on the
+    index. opening: width of the gap [m].
     """
     rng = np.random.default_rng([index, round(1e4 * opening)])
-    centre, radius = np.array([rng.uniform(0.55, 0.62), rng.uniform(-0.05, 0.05)]), 0.27
+    centre = np.array([rng.uniform(0.55, 0.62), rng.uniform(-0.05, 0.05)])
+    radius = 0.27
     gap = math.pi + rng.uniform(-0.2, 0.2)  # towards the base
     half = math.asin(0.5 * (opening + 0.02) / radius)
     bars = []
@@ -78,9 +83,10 @@ def cage_problem(opening: float, index: int) -> PlanningProblem | UnsolvableProb
 
 
 def slot_problem(width: float, index: int) -> PlanningProblem | UnsolvableProblem:
-    """A Panda's upright hand reaches through a slot of that width [m] in a wall before it.
+    """Return a problem in which an upright hand reaches through a slot in a wall.
 
-    The place of the slot and the start's posture depend on the index.
+    The position of the slot and the posture at the start depend on the index. width: of the slot
+    [m].
     """
     rng = np.random.default_rng([index, round(1e4 * width)])
     x, y = rng.uniform(0.4, 0.5), rng.uniform(-0.1, 0.1)
@@ -95,25 +101,22 @@ def slot_problem(width: float, index: int) -> PlanningProblem | UnsolvableProble
     return problem_between(name, Scene(name, tuple(boards)), ends, upright_box(), rng)
 
 
-Passage = Callable[[float, int], PlanningProblem | UnsolvableProblem]
-# kind, what makes its problems, and width in centimetres
-PASSAGES: Sequence[tuple[str, Passage, float]] = (
-    *(("maze", maze_problem, width) for width in (5, 6, 7, 8, 10)),
-    ("cage", cage_problem, 21),
-    *(("slot", slot_problem, width) for width in (19, 21)),
-)
-
-
 def passage_problem(index: int) -> PlanningProblem | UnsolvableProblem:
-    """Problem index // 8 of passage index % 8; its rows are named by index and passage."""
-    number, k = divmod(index, len(PASSAGES))
-    kind, make, width = PASSAGES[k]
-    # no tuning and no test uses numbers from 1000 on
+    """Return problem index // 8 of passage index % 8; its rows are named by index and passage."""
+    # kind, function that makes its problems, and width in centimetres
+    passages: Sequence[tuple[str, Passage, float]] = (
+        *(("maze", maze_problem, width) for width in (5, 6, 7, 8, 10)),
+        ("cage", cage_problem, 21),
+        *(("slot", slot_problem, width) for width in (19, 21)),
+    )
+    number, k = divmod(index, len(passages))
+    kind, make, width = passages[k]
+    # numbers from 1000 on are not used by tuning or tests
     found = make(width / 100, 1000 + number)
     return replace(found, name=phase_problem(str(index), k + 1, f"{kind} {width} cm"))
 
 
 def _upright_at(place: tuple[float, ...], turn: float) -> TaskSpaceRegion:
-    """Upright hand poses within 5 mm of a place, turned by up to +-turn [rad]."""
+    """Return upright hand poses within 5 mm of a place, turned by up to +-turn [rad]."""
     Bw = np.array([[-0.005, 0.005]] * 3 + [[0.0, 0.0]] * 2 + [[-turn, turn]])
     return TaskSpaceRegion(pose(place), rigid(UPRIGHT_ROTATION), Bw)

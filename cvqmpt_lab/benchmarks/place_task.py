@@ -7,8 +7,8 @@ the goals are up to 20 grasps of a can on the shelf, yaw within +-90 degrees; th
 on the way.
 
 Settings of planners were chosen in the published kitchen, on TUNING_ENVIRONMENTS.
-`mirrored_problem` asks the same in a kitchen that no tuning has seen: the same modules, measured
-differently and mirrored left to right.
+`mirrored_problem` is the same task in a kitchen that no tuning has seen: the same modules, with
+other measures and mirrored left to right.
 
 Door: as published, the hand frame stands 0.10 m in front of the bar of the handle, its x axis down,
 and the door goes from closed to -0.45 pi. Here the motion is planned: the door is the robot's
@@ -18,10 +18,10 @@ Multi-sequence task: open the shelf's door, take a can out, stand it upright on 
 published, task k starts free of collision (seed 100 + k), the can is carried to within a decimetre
 of (0.25, -0.45), and two obstacles stand on the counter. Unlike published, opening the door is
 planned, not replayed; the can's final pose is drawn for every task; the can is an obstacle until it
-is grasped, then it collides like the robot, and is put down LIFT above the published height.
+is grasped, then it collides like the robot, and is put down CAN_LIFT_M above the published height.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -58,7 +58,7 @@ from cvqmpt_lab.tasks.task import Grasp, Hold, Move, Release, Slide, Task, Turn
 
 @dataclass(frozen=True)
 class ObjectModel:
-    """The collision shape of an object, and poses of shape and centre of mass in the link frame."""
+    """Collision shape of an object, and positions of shape and centre of mass in its link frame."""
 
     shape: Box | Cylinder  # centred on its own frame, parallel to the link frame
     shape_centre: tuple[float, float, float]  # middle of the shape in the link frame [m]
@@ -80,26 +80,34 @@ CAN = ObjectModel(
     com=(-0.005, 0.010, 0.100),
     mass=0.35,
 )
-# YcbCrackerBox.
-CRACKER_BOX = ObjectModel(
-    Box((0.0616, 0.1575, 0.2068)), (0.028, -0.011, -0.005), com=(0.030, -0.010, -0.020), mass=0.411
-)
-# YcbMustardBottle; the horizontal middle of its box is taken to be the centre of mass's.
-MUSTARD_BOTTLE = ObjectModel(
-    Box((0.0589, 0.0986, 0.1905)), (0.005, 0.005, 0.0125), (0.005, 0.005, -0.015), mass=0.603
-)
+COUNTER_OBJECTS = {
+    # YcbCrackerBox
+    "cracker_box": ObjectModel(
+        Box((0.0616, 0.1575, 0.2068)),
+        shape_centre=(0.028, -0.011, -0.005),
+        com=(0.030, -0.010, -0.020),
+        mass=0.411,
+    ),
+    # YcbMustardBottle; the centre of mass is assumed in the horizontal middle of its box
+    "mustard_bottle": ObjectModel(
+        Box((0.0589, 0.0986, 0.1905)),
+        shape_centre=(0.005, 0.005, 0.0125),
+        com=(0.005, 0.005, -0.015),
+        mass=0.603,
+    ),
+}
 
 TUNING_ENVIRONMENTS = range(1000, 1060)  # same distribution, never reported
-DOOR = "dagger_door_left"
-DOOR_ANGLE = -1.57  # [rad]
-SHELF_LINK = (0.56, -0.39, 0.642)  # the can's link frame on the shelf [m]
-MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])  # left to right
-# [m] above the can's published place on the counter, which is 1.5 mm inside the top
-LIFT = 0.005
+SHELF_DOOR = "dagger_door_left"
+# height above the can's published place on the counter, which is 1.5 mm inside the top
+CAN_LIFT_M = 0.005
 
 
 def grasp_region(com: np.ndarray) -> TaskSpaceRegion:
-    """Grasps of a can with centre of mass com (3,) [m]: from the side, yaw within +-90 degrees."""
+    """Return grasps of a can with centre of mass com (3,) [m], from the side.
+
+    The yaw is within +-90 degrees.
+    """
     Tw_e = rigid(UPRIGHT_ROTATION, (-0.11, 0.0, 0.05))
     Bw = np.zeros((6, 2))
     Bw[5] = (-np.pi / 2, np.pi / 2)
@@ -107,56 +115,70 @@ def grasp_region(com: np.ndarray) -> TaskSpaceRegion:
 
 
 def can_com(environment: int) -> np.ndarray:
-    """Centre of mass (3,) [m] of the can on the counter of an environment."""
+    """Return the centre of mass (3,) [m] of the can on the counter of an environment."""
     u1, u2 = np.random.RandomState(environment).uniform(size=2)
     return np.array([0.4 + 0.3 * u1, -0.6 + 1.0 * u2, 0.171]) + CAN.com
 
 
+def shelf_com() -> np.ndarray:
+    """Return the centre of mass (3,) [m] of the can on the shelf."""
+    return np.add((0.56, -0.39, 0.642), CAN.com)  # the origin of its link frame, and the offset
+
+
 @lru_cache(maxsize=1)
 def carried_can() -> Attachment:
-    """The can in the hand, at the grasp of `grasp_region`."""
+    """Return the can in the hand, at the grasp of `grasp_region`."""
     # Yaw is about the centre of mass, 2 mm off the cylinder's axis: the axis is taken instead.
     above = pose((0.0, 0.0, CAN.shape_centre[2] - CAN.com[2]))
     T_hand_object = np.linalg.inv(grasp_region(np.zeros(3)).Tw_e) @ above
     return Attachment("carried_can", CAN.shape, T_hand_object, CAN.mass)
 
 
-@lru_cache(maxsize=1)
-def _world() -> Scene:
-    return kitchen(door_angles={DOOR: DOOR_ANGLE})
+def place_kitchen(changes: Mapping[str, float] | None = None) -> Scene:
+    """Return the kitchen with the shelf's door open as in the place task.
+
+    changes: dimensions that differ from those of `kitchen.toml`, by name.
+    """
+    return kitchen(changes, {SHELF_DOOR: -1.57})
 
 
 @lru_cache(maxsize=1)
-def _mirrored_world() -> Scene:
-    """The re-measured kitchen, mirrored. Its boxes and cylinders are their own mirror images."""
+def _place_scene() -> Scene:
+    return place_kitchen()
+
+
+@lru_cache(maxsize=1)
+def _mirrored_scene() -> Scene:
+    """Return the kitchen with other measures, mirrored; shapes are their own mirror images."""
+    mirror = np.diag([1.0, -1.0, 1.0, 1.0])
     # [m]; wider, flatter and higher cabinets, a lower hood
     remeasured = {"cabinet_width": 0.42, "wall_cabinet_depth": 0.33}
     remeasured |= {"dagger_bottom_z": 0.6765, "hood_bottom_z": 0.70}
-    scene = kitchen(remeasured, {DOOR: DOOR_ANGLE})
+    scene = place_kitchen(remeasured)
     objects = tuple(
-        replace(item, T_world_object=MIRROR @ item.T_world_object @ MIRROR)
+        replace(item, T_world_object=mirror @ item.T_world_object @ mirror)
         for item in scene.objects
     )
     return Scene("kitchen mirrored", objects)
 
 
 def mirrored_problem(environment: int) -> PlanningProblem | UnsolvableProblem:
-    """The problem of one environment in the mirrored kitchen."""
-    side = MIRROR.diagonal()[:3]
+    """Return the problem of one environment in the mirrored kitchen."""
+    side = np.array([1.0, -1.0, 1.0])
     # the can's link frame on the shelf before it is mirrored [m]
     shelf = grasp_region(side * np.add((0.60, -0.41, 0.692), CAN.com))
-    return _problem(environment, _mirrored_world(), side * can_com(environment), shelf)
+    return _problem(environment, _mirrored_scene(), side * can_com(environment), shelf)
 
 
 def single_goal_problem(environment: int) -> PlanningProblem | UnsolvableProblem:
-    """The problem with its first goal alone, so that planners cannot choose an easier one."""
+    """Return a problem with one goal, so that no planner can choose an easier one."""
     return with_first_goal(place_problem(environment))
 
 
 def with_first_goal(
     problem: PlanningProblem | UnsolvableProblem,
 ) -> PlanningProblem | UnsolvableProblem:
-    """A problem with the first goal that is drawn for it alone."""
+    """Return a problem with only the first goal that is drawn for it."""
     if isinstance(problem, UnsolvableProblem):
         return problem
     found = goals_in_any_posture(problem)
@@ -166,15 +188,16 @@ def with_first_goal(
 
 
 def place_problem(environment: int, with_can: bool = False) -> PlanningProblem | UnsolvableProblem:
-    """The problem of one environment; `pipeline.solve` samples its goals.
+    """Return the problem of one environment; `pipeline.solve` samples its goals.
 
-    with_can: the can is part of the robot and LIFT higher; the published experiment leaves it out.
+    with_can: the can is part of the robot and CAN_LIFT_M higher; the published experiment leaves it
+        out.
     """
     attachments = (carried_can(),) if with_can else ()
-    com = can_com(environment) + (0.0, 0.0, LIFT * with_can)
-    return _problem(
-        environment, _world(), com, grasp_region(np.add(SHELF_LINK, CAN.com)), attachments
-    )
+    lift = CAN_LIFT_M if with_can else 0.0
+    com = can_com(environment) + (0.0, 0.0, lift)
+    shelf = grasp_region(shelf_com())
+    return _problem(environment, _place_scene(), com, shelf, attachments)
 
 
 def _problem(
@@ -184,7 +207,7 @@ def _problem(
     shelf: TaskSpaceRegion,
     attachments: tuple[Attachment, ...] = (),
 ) -> PlanningProblem | UnsolvableProblem:
-    """Problem from a grasp of the can at com (3,) [m] to grasps of the one on the shelf."""
+    """Return the problem from a grasp of the can at com (3,) [m] to grasps on the shelf."""
     return problem_between(
         str(environment),
         scene,
@@ -205,9 +228,16 @@ def problem_between(
     attachments: tuple[Attachment, ...] = (),
     what: str = "start",
 ) -> PlanningProblem | UnsolvableProblem:
-    """The Panda's problem from a state drawn in one region to another one, inside of a third.
+    """Return a problem of the Panda from a state drawn in one region to another region.
 
-    what: is drawn, in words.
+    Args:
+        name: of the problem.
+        scene: with all obstacles.
+        ends: regions of the hand at the start and at the goal.
+        constraint: region of the hand on the way.
+        rng: random generator for the start.
+        attachments: objects in the hand.
+        what: noun for the start in the error message.
     """
     robot = robot_from_source({"name": "panda"})
     checker = shared_checker(robot, scene, attachments, SAMPLE_MARGIN_M)
@@ -225,48 +255,65 @@ def problem_between(
     )
 
 
-OPEN = -0.45 * np.pi  # [rad]
-BAR = f"{DOOR}/handle_bar"
-GRIP = 0.0075  # [m] opening of each finger: the bar's radius
-PADS = ("panda_leftfinger_3", "panda_rightfinger_3")  # pieces of the fingers that close on the bar
-TURN = 0.4  # [rad] about the bar: goals lie within +- this, so that the fingers can open there
+DOOR_OPEN_RAD = -0.45 * np.pi
+HANDLE_BAR = f"{SHELF_DOOR}/handle_bar"
+HANDLE_GRIP_M = 0.0075  # opening of each finger: the bar's radius
+
+
+def pads_on_bar() -> tuple[tuple[str, str], ...]:
+    """Return the pairs of a piece of a finger and the bar that touch when the hand holds it."""
+    return tuple((pad, HANDLE_BAR) for pad in ("panda_leftfinger_3", "panda_rightfinger_3"))
 
 
 def handle_region(turn: float = FREE) -> TaskSpaceRegionChain:
-    """Hand poses that hold the bar, turned about it by at most +-turn [rad]."""
+    """Return the hand poses that hold the bar, turned about it by at most +-turn [rad]."""
     # hand z along x, hand x down
     R = [[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]
     Tw_e = rigid(R, (-0.10, 0.0, 0.0))
     Bw = np.zeros((6, 2))
     Bw[5] = -turn, turn
-    return TaskSpaceRegionChain(np.eye(4), Tw_e, Bw, BAR)
+    return TaskSpaceRegionChain(np.eye(4), Tw_e, Bw, HANDLE_BAR)
+
+
+def opened_handle_region() -> TaskSpaceRegionChain:
+    """Return the hand poses of goals: turned by at most 0.4 rad, so that the fingers can open."""
+    return handle_region(turn=0.4)
 
 
 @lru_cache(maxsize=2)
-def door_world(finger_opening: float = GRIP) -> tuple[Scene, Robot]:
-    """The kitchen without the door, and the Panda with it; only finger pads may touch the bar."""
-    scene, door = take_out(kitchen(), DOOR, may_touch=[(pad, BAR) for pad in PADS])
+def door_world(finger_opening: float = HANDLE_GRIP_M) -> tuple[Scene, Robot]:
+    """Return the kitchen without the door, and the Panda with it.
+
+    Only finger pads may touch the bar. finger_opening: of each finger [m].
+    """
+    scene, door = take_out(kitchen(), SHELF_DOOR, may_touch=pads_on_bar())
     return scene, robot_from_source({**panda(finger_opening).source, "articulated": to_plain(door)})
 
 
 def bar_pose(angle: float) -> np.ndarray:
-    """T_world_bar (4, 4) with the door at an angle [rad]; InvalidInputError outside its range."""
-    return kitchen().with_joint(DOOR, angle)[BAR].T_world_object
+    """Return T_world_bar (4, 4) with the door at an angle [rad].
+
+    Raises:
+        InvalidInputError: the angle is outside the door's range.
+    """
+    return kitchen().with_joint(SHELF_DOOR, angle)[HANDLE_BAR].T_world_object
 
 
 def door_problem(seed: int, goals_needed: int = 10) -> PlanningProblem | UnsolvableProblem:
-    """Open the door, from a grasp of the closed one; goals are sampled by `pipeline.solve`.
+    """Return the problem to open the door from a grasp of the closed door.
+
+    `pipeline.solve` samples its goals.
 
     Args:
-        seed: of the start grasp.
-        goals_needed: in whose posture so many of `goals.MAX_GOALS` are found; one that reaches
-            fewer stands at a limit and may get stuck.
+        seed: random seed of the start grasp.
+        goals_needed: number of goals that must be found in the posture of the start; a start that
+            reaches fewer stands at a joint limit and may get stuck.
     """
     scene, robot = door_world()
     # a closed door is only 1 mm from its neighbour
     checker = CollisionChecker(robot, scene, margin=5e-4)
     grasp = handle_region(turn=0.0)
-    goal = handle_region(TURN).at(bar_pose(OPEN))
+    goal = opened_handle_region().at(bar_pose(DOOR_OPEN_RAD))
     rng = np.random.default_rng([seed, 1])
     starts = sample_region(robot, grasp.at(bar_pose(0.0)), checker, rng, count=20, within=(grasp,))
     for start in starts.configurations:
@@ -286,23 +333,21 @@ def door_problem(seed: int, goals_needed: int = 10) -> PlanningProblem | Unsolva
     )
 
 
-CAN_NAME = "can"
-
-
 @lru_cache(maxsize=1)
 def sequence_world() -> Scene:
-    """The kitchen, door closed, with the two obstacles on the counter and the can on the shelf."""
-    centre = np.add(SHELF_LINK, CAN.com) + (0.0, 0.0, CAN.shape_centre[2] - CAN.com[2])
+    """Return the kitchen with a closed door, two obstacles on the counter, the can on the shelf."""
+    centre = shelf_com() + (0.0, 0.0, CAN.shape_centre[2] - CAN.com[2])
+    box, bottle = COUNTER_OBJECTS["cracker_box"], COUNTER_OBJECTS["mustard_bottle"]
     return kitchen().with_objects(
-        CRACKER_BOX.at_com("cracker_box", (0.600, -0.623, 0.287), -np.pi / 4),
-        MUSTARD_BOTTLE.at_com("mustard_bottle", (0.550, -0.303, 0.262)),
+        box.at_com("cracker_box", (0.600, -0.623, 0.287), -np.pi / 4),
+        bottle.at_com("mustard_bottle", (0.550, -0.303, 0.262)),
         # its axis through its centre of mass
-        SceneObject(CAN_NAME, CAN.shape, pose(centre), mass=CAN.mass),
+        SceneObject("can", CAN.shape, pose(centre), mass=CAN.mass),
     )
 
 
 def multi_sequence_task(number: int) -> Task:
-    """Task `number`; 0 to 9 are the paper's, others follow the same distribution."""
+    """Return task `number`; 0 to 9 are the paper's, others follow the same distribution."""
     if number < 0:
         raise InvalidInputError(
             f"multi-sequence task {number}: give 0 or more, the paper's are 0 to 9"
@@ -314,14 +359,15 @@ def multi_sequence_task(number: int) -> Task:
     while checker.in_collision(start):
         start = robot.random_configurations(rng, 1)[0]
     # where the can's centre of mass goes: within a square of a decimetre
-    target = np.array((0.25, -0.45, 0.271 + LIFT))
+    target = np.array((0.25, -0.45, 0.271 + CAN_LIFT_M))
     target[:2] += 0.1 * rng.uniform(size=2)
-    grasp = grasp_region(np.add(SHELF_LINK, CAN.com))
+    grasp = grasp_region(shelf_com())
     approach = 0.08  # [m] straight to the can: depth of the fingers, and 3 mm of play
     pregrasp = TaskSpaceRegion(grasp.T0_w, grasp.Tw_e @ pose((0.0, 0.0, -approach)), grasp.Bw)
     reach_handle, reach_can, carry = PAPER_PHASES
     can_grip = CAN.shape.radius  # type: ignore[union-attr]
-    open_fingers, grip = {"finger_opening": PANDA_FINGER_OPENING_M}, {"finger_opening": GRIP}
+    open_fingers = {"finger_opening": PANDA_FINGER_OPENING_M}
+    grip = {"finger_opening": HANDLE_GRIP_M}
     return Task(
         name=str(number),
         robot=robot.source,
@@ -329,12 +375,12 @@ def multi_sequence_task(number: int) -> Task:
         start=start,
         phases=(
             Move(reach_handle, handle_region(turn=0.0).at(bar_pose(0.0))),
-            Hold("hold-handle", DOOR, grip, tuple((pad, handle_region().base) for pad in PADS)),
-            Turn("open-door", OPEN, handle_region(), handle_region(turn=TURN)),
+            Hold("hold-handle", SHELF_DOOR, grip, pads_on_bar()),
+            Turn("open-door", DOOR_OPEN_RAD, handle_region(), opened_handle_region()),
             Release("let-go", open_fingers),
             Move(reach_can, pregrasp),
             Slide("approach", approach),
-            Grasp("grasp-can", CAN_NAME, {"finger_opening": can_grip}),
+            Grasp("grasp-can", "can", {"finger_opening": can_grip}),
             Move(carry, grasp_region(target), (upright_box(),)),
             Release("put-down", open_fingers),
         ),

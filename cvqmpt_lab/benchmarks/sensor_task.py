@@ -1,8 +1,8 @@
 """Planning in a map from depth images; paths are judged in the map and in the scene.
 
 Scenes are kitchens and tables in turn; start and goal are random upright configurations at least
-`ROOM` from everything, the straight motion between them blocked. Planners know an occupancy map
-alone: noisy depth images with the arm at the start, filtered, without the robot's points.
+6 cm from all obstacles, with a blocked straight motion. Planners know only an
+occupancy map: noisy depth images with the arm at the start, filtered, without the robot's points.
 """
 
 import tempfile
@@ -14,10 +14,9 @@ import numpy as np
 
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.benchmarks.families import family_scene
-from cvqmpt_lab.benchmarks.family_task import PANDA, upright_problem
+from cvqmpt_lab.benchmarks.family_task import upright_problem
 from cvqmpt_lab.benchmarks.item import SensedProblem, UnsolvableProblem
-from cvqmpt_lab.benchmarks.kitchen import kitchen
-from cvqmpt_lab.benchmarks.place_task import CAN, CRACKER_BOX, DOOR, DOOR_ANGLE, MUSTARD_BOTTLE
+from cvqmpt_lab.benchmarks.place_task import CAN, COUNTER_OBJECTS, place_kitchen
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.row import FailReason
 from cvqmpt_lab.robot.load import robot_from_source
@@ -28,24 +27,24 @@ from cvqmpt_lab.sensing.depth import read_capture, write_view
 from cvqmpt_lab.sensing.observation import CameraSettings, arm_objects, views_of
 from cvqmpt_lab.sensing.scan import Arm, MapSettings, ScanSettings, occupancy_map, scan
 
-ROOM = 0.06  # [m] that start and goal keep from obstacles
-THINGS = {
-    "cracker_box": (CRACKER_BOX, 0.287),
-    "mustard": (MUSTARD_BOTTLE, 0.262),
-    "can": (CAN, 0.271),
-}
-"""On the counter: what, and the height of its centre of mass [m]."""
 
+def scanned_scene(
+    number: int, clear: float = 0.06
+) -> tuple[PlanningProblem, list[Camera]] | UnsolvableProblem:
+    """Return the problem in the real scene with one goal, and its cameras.
 
-def scanned_scene(number: int) -> tuple[PlanningProblem, list[Camera]] | UnsolvableProblem:
-    """The problem in the real scene with one goal, and its cameras; even: kitchens, odd: tables."""
+    Args:
+        number: of the scene; even ones are kitchens, odd ones tables.
+        clear: distance of start and goal from obstacles [m].
+    """
     rng = np.random.default_rng([number, 12])
     scene = family_scene("table", 3000 + number) if number % 2 else _cluttered_kitchen(number, rng)
-    truth = upright_problem(str(number), robot_from_source(PANDA), scene, rng, ROOM)
+    panda = robot_from_source({"name": "panda"})
+    truth = upright_problem(str(number), panda, scene, rng, clear)
     if isinstance(truth, UnsolvableProblem):
         return truth
     cameras = []
-    # [deg] azimuths of the two cameras as seen from what they look at: behind the robot
+    # ranges of the azimuths of two cameras behind the robot, seen from their targets [deg]
     for span in ((130, 160), (185, 205)):
         azimuth, elevation = (np.radians(rng.uniform(*angles)) for angles in (span, (20, 45)))
         target = np.add((0.45, -0.15, 0.35), rng.uniform(-0.1, 0.1, 3))
@@ -57,23 +56,31 @@ def scanned_scene(number: int) -> tuple[PlanningProblem, list[Camera]] | Unsolva
 
 
 def _cluttered_kitchen(number: int, rng: np.random.Generator) -> Scene:
-    """The kitchen of the place task with three things on the right counter, apart."""
+    """Return the kitchen of the place task with three separate objects on the right counter."""
+    models = {  # and the height of the centre of mass [m]
+        "cracker_box": (COUNTER_OBJECTS["cracker_box"], 0.287),
+        "mustard": (COUNTER_OBJECTS["mustard_bottle"], 0.262),
+        "can": (CAN, 0.271),
+    }
     while True:
-        # corners x, y of where they stand [m]
-        places = rng.uniform((0.32, -0.85), (0.70, -0.20), (len(THINGS), 2))
-        gaps = np.linalg.norm(places[:, None] - places, axis=2)[np.triu_indices(len(THINGS), 1)]
+        # between two corners of the counter, x and y [m]
+        places = rng.uniform((0.32, -0.85), (0.70, -0.20), (len(models), 2))
+        gaps = np.linalg.norm(places[:, None] - places, axis=2)[np.triu_indices(len(models), 1)]
         if gaps.min() > 0.17:
             break
     things = [
-        thing.at_com(name, (float(x), float(y), height), float(rng.uniform(-np.pi, np.pi)))
-        for (name, (thing, height)), (x, y) in zip(THINGS.items(), places, strict=True)
+        model.at_com(name, (float(x), float(y), height), float(rng.uniform(-np.pi, np.pi)))
+        for (name, (model, height)), (x, y) in zip(models.items(), places, strict=True)
     ]
-    scene = kitchen(door_angles={DOOR: DOOR_ANGLE}).with_objects(*things)
+    scene = place_kitchen().with_objects(*things)
     return Scene(f"kitchen_clutter_{number}", scene.objects)
 
 
 def sensor_problem(number: int, padding: float = 0.0) -> SensedProblem | UnsolvableProblem:
-    """The problem of `scanned_scene` in its cameras' map, of cells inflated by padding [m]."""
+    """Return the problem of `scanned_scene` in the map of its cameras.
+
+    padding: inflation radius of the map's cells [m].
+    """
     scanned = scanned_scene(number)
     if isinstance(scanned, UnsolvableProblem):
         return scanned
@@ -106,16 +113,16 @@ def _in_map(
     resolution: float = 0.02,
     neighbours: int = 8,
 ) -> PlanningProblem:
-    """The problem in a map of what the files say.
+    """Return the problem in a map that is made of camera files.
 
     Args:
-        truth: the problem in the scene that was measured.
+        truth: problem in the scene that was measured.
         files: depth image, intrinsics and extrinsics of each camera.
         padding: inflation radius of the map's cells [m].
         resolution: edge of the map's cells [m].
-        neighbours: points with fewer are taken for flying pixels, which come in veils behind edges.
+        neighbours: points with fewer neighbours are removed as flying pixels behind edges.
     """
-    # what of a scan the arm can touch, and a little more
+    # points that the arm can touch, and a little more
     reach = Crop(radius=1.3)
     settings = ScanSettings(crop=reach, voxel=0.5 * resolution, neighbours=neighbours)
     captures = [read_capture(*each) for each in files]

@@ -13,18 +13,21 @@ from cvqmpt_lab.results.row import cell_text, natural_key
 from cvqmpt_lab.robot.source import content_digest
 from cvqmpt_lab.scene.scene_files import named_files
 
-_FOLDERS: dict[str, Suite] = {}  # by full path; workers that are forked find what was read before
+_FOLDERS: dict[str, Suite] = {}  # by full path; forked workers find the suites read before
 
 
 def folder_suite(folder: Path) -> Suite:
-    """The problems of a folder as they are now, as a suite with the folder's name.
+    """Return the problems of a folder as a suite with the folder's name.
 
-    `suite_named` finds it by full path. A problem's digest is the sha256 over the file and all that
-    it names: scene, clouds, meshes, URDF, SRDF.
+    `suite_named` finds it by full path. The digest of a problem is the sha256 of its file and of
+    all files that it names: scene, clouds, meshes, URDF, SRDF.
 
-    Left out are hidden files, json schemas for editors, expectations of `cvqmpt check-tables`, and
-    scenes that a problem of the folder names. InvalidInputError names the file that is no problem,
-    and what is wrong in it; two of one name; an empty folder; a folder of the name of a suite.
+    Hidden files, json schemas for editors, expectations of `cvqmpt check-tables` and scenes that a
+    problem of the folder names are left out.
+
+    Raises:
+        InvalidInputError: a file is not a problem, two problems have one name, the folder is empty
+            or has the name of a suite.
     """
     contents, path = _contents(folder), folder.resolve()
     named = [data["scene"] for data in contents.values() if isinstance(data.get("scene"), str)]
@@ -76,7 +79,7 @@ def folder_suite(folder: Path) -> Suite:
 
 
 def _contents(folder: Path) -> dict[Path, dict[str, Any]]:
-    """Json of the files that may be problems."""
+    """Return the json of the files that may be problems."""
     try:
         paths = [
             path for path in folder.iterdir() if path.suffix == ".json" and path.name[0] != "."
@@ -93,7 +96,7 @@ def _contents(folder: Path) -> dict[Path, dict[str, Any]]:
 
 
 def suite_named(name: str) -> Suite:
-    """The suite of a name or of a folder's full path; UnknownChoiceError lists the names."""
+    """Return the suite of a name or of a folder's full path; UnknownChoiceError lists the names."""
     if os.sep in name:
         return _FOLDERS.get(name) or folder_suite(Path(name))
     return SUITES[require_choice("suite", name, SUITES)]

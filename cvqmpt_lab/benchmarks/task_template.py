@@ -1,4 +1,4 @@
-"""A task to start from, with comments: an arm opens a drawer or a door that stands in its reach."""
+"""Template of a task, with comments: an arm opens a drawer or a door within its reach."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any, Literal, NamedTuple
@@ -8,7 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.base.poses import pose, rigid
-from cvqmpt_lab.benchmarks.hold_handle import BAR, Grip, hold_of
+from cvqmpt_lab.benchmarks.hold_handle import BAR_EDGE_M, Grip, hold_of
+from cvqmpt_lab.benchmarks.templates import box_object, pose_field
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.goals import SAMPLE_MARGIN_M, first_guesses, sample_region, solve_poses
 from cvqmpt_lab.constraints.no_goal import hand_reach
@@ -21,8 +22,7 @@ from cvqmpt_lab.tasks.task import Move, Slide, Task, Turn
 from cvqmpt_lab.trajectory.timing import TimingSettings
 
 Furniture = Literal["drawer", "door"]
-# what fields of a task file may hold, as comments of the template
-COMMENTS = {
+TASK_COMMENTS = {  # of the template: values that fields of a task file may have
     "task": [
         "A task for `cvqmpt plan --task-file`. Lengths in m, angles in rad; a field _comment may "
         "stand anywhere.",
@@ -49,23 +49,24 @@ COMMENTS = {
 
 
 class Place(NamedTuple):
-    """Where a handle is, from the arm's first joint."""
+    """Position of a handle relative to the arm's first joint."""
 
-    yaw: float  # of the direction from the joint to it [rad]
-    ahead: float  # share of the hand's reach at which the hand holds it, closed
-    up: float  # height in shares of that reach
+    yaw: float  # direction from the joint to the handle [rad]
+    ahead: float  # distance of the hand that holds the closed handle, in shares of its reach
+    up: float  # height in shares of the hand's reach
     roll: float  # of the hand about the line to the handle [rad]
-    side: float  # -1 or 1: which way the hand comes from, and on which side a hinge is
+    side: float  # -1 or 1: the side of the hinge, and of the hand at the start
 
 
 def task_template(source: Mapping[str, Any], what: Furniture = "drawer") -> dict[str, Any]:
-    """Json of a task that `solve_task` solves with birrt, for a robot's json.
-
-    Raises InvalidInputError, which says what is missing, if no such task is found.
+    """Return json of a task that `solve_task` solves with birrt.
 
     Args:
-        source: of the robot; acceleration limits must be known.
-        what: the arm opens.
+        source: json of the robot; acceleration limits must be known.
+        what: furniture that the arm opens.
+
+    Raises:
+        InvalidInputError: no such task is found; the message says what is missing.
     """
     hold = hold_of(source)
     if len(hold.robot.end_effectors) > 1:
@@ -102,12 +103,14 @@ def task_template(source: Mapping[str, Any], what: Furniture = "drawer") -> dict
 
 
 def _places(hold: Grip, what: Furniture) -> Iterator[Place]:
-    """Places of the handle that are tried, likely ones first."""
+    """Yield the positions of the handle that are tried, likely ones first."""
     quarter = np.pi / 2
-    # a bar lies across a drawer, and stands on a door
-    rolls = [(what == "door") * quarter, (what == "door") * quarter + np.pi]
     if not hold.bar:
         rolls = [0.0, quarter, np.pi, -quarter]
+    elif what == "door":
+        rolls = [quarter, quarter + np.pi]  # a bar on a door is vertical
+    else:
+        rolls = [0.0, np.pi]
     for turn in (0.0, 1.0, -1.0, 0.5, -0.5, 0.25, -0.25, 2.0):
         for ahead, up in ((0.6, 0.14), (0.7, 0.0), (0.65, 0.35), (0.8, 0.15), (0.6, -0.2)):
             for roll in rolls:
@@ -118,11 +121,18 @@ def _places(hold: Grip, what: Furniture) -> Iterator[Place]:
 def _task(
     source: Mapping[str, Any], hold: Grip, what: Furniture, place: Place, reach: float
 ) -> dict[str, Any]:
-    """The task of one place, without a start.
+    """Return json of the task of one place, without a start.
 
     The frame of the room stands at the handle, x into the furniture, z up.
+
+    Args:
+        source: json of the robot.
+        hold: grip of the handle.
+        what: furniture that the arm opens.
+        place: position of the handle.
+        reach: of the hand [m].
     """
-    size = min(round(reach / 0.86, 2), 1.2)  # of the furniture: 1 for the panda
+    size = min(round(reach / 0.86, 2), 1.2)  # scale of the furniture: 1 for the panda
     pull = 0.2 * size if what == "drawer" else -0.6 * place.side
     approach = round(max(0.08 * size, hold.beyond + 0.03), 3)
     x, y, z = hold.robot.kinematics.translation[0]
@@ -137,23 +147,19 @@ def _task(
     grasp = T_world_room @ T_room_hand
 
     def hand(dx: float, dy: float = 0.0, dz: float = 0.0) -> dict[str, Any]:
-        return _written(T_world_room @ pose((dx, dy, dz)) @ T_room_hand)
+        return pose_field(T_world_room @ pose((dx, dy, dz)) @ T_room_hand)
 
     handle = f"{what}/bar" if hold.bar else f"{what}/knob"
     objects, hinge = _furniture(hold, what, place.side, size, up)
     scene_objects = [
-        {
-            "name": name,
-            "shape": {"type": "box", "size": np.round(edges, 3).tolist()},
-            "T_world_object": _written(T_world_room @ pose(np.round(middle, 3))),
-        }
+        box_object(name, edges, T_world_room @ pose(np.round(middle, 3)))
         for name, (edges, middle) in objects.items()
     ]
     knob = np.linalg.inv(T_world_room @ pose(np.round(objects[handle][1], 3))) @ grasp
     region: dict[str, Any] = {
         "base": handle,
         "T0_w": {},
-        "Tw_e": _written(knob),
+        "Tw_e": pose_field(knob),
         "Bw": [[0, 0] for _ in range(6)],
     }
     if hold.bar:
@@ -164,7 +170,7 @@ def _task(
     return {
         "$schema": "task.schema.json",
         "schema": Task.SCHEMA,
-        "_comment": COMMENTS["task"],
+        "_comment": TASK_COMMENTS["task"],
         "name": what,
         "robot": {**source, **hold.opened},
         "scene": {
@@ -172,10 +178,10 @@ def _task(
             "objects": scene_objects,
             "articulations": [
                 {
-                    "_comment": COMMENTS["articulation"],
+                    "_comment": TASK_COMMENTS["articulation"],
                     "name": what,
                     "kind": "slider" if what == "drawer" else "hinge",
-                    "T_world_joint": _written(T_world_room @ hinge),
+                    "T_world_joint": pose_field(T_world_room @ hinge),
                     "lower": min(0.0, round(1.5 * pull, 3)),
                     "upper": max(0.0, round(1.5 * pull, 3)),
                     "value": 0.0,
@@ -188,7 +194,7 @@ def _task(
             {"kind": "move", "name": "reach", "goal": {"pose": {"at": hand(-approach)}}},
             _slide("approach", approach, hold),
             {
-                "_comment": COMMENTS["hold"],
+                "_comment": TASK_COMMENTS["hold"],
                 "kind": "hold",
                 "name": "close",
                 "articulation": what,
@@ -199,13 +205,13 @@ def _task(
                 "kind": "turn",
                 "name": "pull",
                 "value": round(pull, 3),
-                "constraint": {"_comment": COMMENTS["turn"], **region},
+                "constraint": {"_comment": TASK_COMMENTS["turn"], **region},
                 "goal": region,
             },
             {"kind": "release", "name": "let-go", "gripper": dict(hold.opened)},
             _slide("back", -approach, hold),
             {
-                "_comment": COMMENTS["away"],
+                "_comment": TASK_COMMENTS["away"],
                 "kind": "move",
                 "name": "away",
                 "through": [{"pose": {"at": hand(away[0], 0.0, away[2]), "position": 0.02}}],
@@ -216,7 +222,7 @@ def _task(
 
 
 def _aside(hold: Grip, T_world_room: np.ndarray, T_room_hand: np.ndarray) -> float:
-    """How far to the side a hand gets to that less than six joints move [m]; 0: it does not."""
+    """Return the sideways offset of a hand that fewer than six joints move [m]; 0: none found."""
     bounds = np.zeros((6, 2))
     bounds[1] = -0.1, 0.1
     region, robot = TaskSpaceRegion(T_world_room, T_room_hand, bounds), hold.robot
@@ -229,7 +235,7 @@ def _aside(hold: Grip, T_world_room: np.ndarray, T_room_hand: np.ndarray) -> flo
 
 
 def _slide(name: str, distance: float, hold: Grip) -> dict[str, Any]:
-    """A slide along the hand's axis."""
+    """Return a slide along the hand's axis."""
     axis = {} if hold.axis == "z" else {"axis": hold.axis}
     return {"kind": "slide", "name": name, "distance": distance, **axis}
 
@@ -237,35 +243,47 @@ def _slide(name: str, distance: float, hold: Grip) -> dict[str, Any]:
 def _furniture(
     hold: Grip, what: Furniture, side: float, size: float, up: float
 ) -> tuple[dict[str, tuple[Any, Any]], np.ndarray]:
-    """Boxes by name, (edges, middle) in the room [m], and T_room_joint (4, 4) of the furniture."""
+    """Return the boxes of the furniture and T_room_joint (4, 4).
+
+    Args:
+        hold: grip of the handle.
+        what: drawer or door.
+        side: -1 or 1: the side of the hinge.
+        size: scale of the furniture.
+        up: height of the handle [m].
+
+    Returns:
+        Edges and middle in the room [m] of the boxes by name, and the pose of the joint.
+    """
     far = round(max(0.04, hold.beyond + 0.025), 3)  # from the handle's origin to the front
     wide, high = (0.5 * size, 0.2 * size) if what == "drawer" else (0.45 * size, 0.5 * size)
-    beside = 0.0 if what == "drawer" else side * (0.5 * wide - 0.05 * size)
+    offset = 0.0 if what == "drawer" else side * (0.5 * wide - 0.05 * size)
     front = 0.02
     top = min(2.0 * up, up + 0.4 * size)
     objects: dict[str, tuple[Any, Any]] = {
         "cabinet": (
             (0.4 * size, wide + 0.1 * size, top),
-            (far + front + 0.01 + 0.2 * size, beside, 0.5 * top - up),
+            (far + front + 0.01 + 0.2 * size, offset, 0.5 * top - up),
         ),
-        f"{what}/front": ((front, wide, high), (far + 0.5 * front, beside, 0.0)),
+        f"{what}/front": ((front, wide, high), (far + 0.5 * front, offset, 0.0)),
     }
     if hold.bar:
         long = np.array((0.0, 1.0, 0.0) if what == "drawer" else (0.0, 0.0, 1.0))
-        objects[f"{what}/bar"] = (BAR + (hold.bar - BAR) * long, (0.0, 0.0, 0.0))
-        deep = far - 0.5 * BAR
+        objects[f"{what}/bar"] = (BAR_EDGE_M + (hold.bar - BAR_EDGE_M) * long, (0.0, 0.0, 0.0))
+        deep = far - 0.5 * BAR_EDGE_M
         for name, way in (("left_post", 1.0), ("right_post", -1.0)):
-            middle = 0.5 * (BAR + deep) * np.eye(3)[0] + way * 0.5 * (hold.bar - BAR) * long
-            objects[f"{what}/{name}"] = ((deep, BAR, BAR), middle)
+            along = way * 0.5 * (hold.bar - BAR_EDGE_M) * long
+            middle = 0.5 * (BAR_EDGE_M + deep) * np.eye(3)[0] + along
+            objects[f"{what}/{name}"] = ((deep, BAR_EDGE_M, BAR_EDGE_M), middle)
     else:
         objects[f"{what}/knob"] = ((far, 0.03, 0.03), (0.5 * far, 0.0, 0.0))
     if what == "drawer":
         return objects, rigid(Rotation.from_euler("y", -np.pi / 2).as_matrix())
-    return objects, pose((far + 0.5 * front, beside + side * 0.5 * wide, 0.0))
+    return objects, pose((far + 0.5 * front, offset + side * 0.5 * wide, 0.0))
 
 
 def _start(task: Task, hold: Grip) -> np.ndarray | None:
-    """A configuration (n,) at the end of the task; None if the hand does not get to all poses."""
+    """Return a configuration (n,) at the task's end; None if the hand cannot reach all poses."""
     robot, rng = hold.robot, np.random.default_rng(0)
     checker = CollisionChecker(robot, task.scene, margin=SAMPLE_MARGIN_M)
     reach, away = (phase for phase in task.phases if isinstance(phase, Move))
@@ -291,12 +309,3 @@ def _start(task: Task, hold: Grip) -> np.ndarray | None:
     middle = np.where(robot.turning, np.clip(0.0, robot.lower, robot.upper), middle)
     inside = found.round(4).clip(robot.lower, robot.upper)
     return min(inside, key=lambda q: float(np.linalg.norm(q - middle)))
-
-
-def _written(T: np.ndarray) -> dict[str, Any]:
-    """A pose (4, 4) as a task file has it; a turn of 0 is left out."""
-    xyz = (np.round(T[:3, 3], 6) + 0.0).tolist()
-    quaternion = Rotation.from_matrix(T[:3, :3]).as_quat()
-    if abs(quaternion[3]) > 1.0 - 1e-12:
-        return {"xyz": xyz}
-    return {"xyz": xyz, "quaternion": (np.round(quaternion, 7) + 0.0).tolist()}

@@ -1,9 +1,9 @@
-"""A problem to start from, with comments, for any arm: a table, an obstacle, a constraint, a goal.
+"""Template of a problem, with comments, for any arm: a table, an obstacle, a constraint, a goal.
 
-Its limits, too, of which a URDF states but some. A task to start from: `task_template`.
+`with_limits` adds limits that a URDF does not state. `task_template` is the template of a task.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,9 +27,8 @@ from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.space import ConstrainedSpace, direct_motion
 
-TILT = 0.3  # [rad]
-# what fields of a problem file may hold, as comments of the template
-COMMENTS = {
+TEMPLATE_TILT_RAD = 0.3
+PROBLEM_COMMENTS = {  # of the template: values that fields of a problem file may have
     "problem": [
         "A problem for `cvqmpt plan --problem-file`. Lengths in m, angles in rad; a field _comment "
         "may stand anywhere.",
@@ -60,64 +59,72 @@ COMMENTS = {
 }
 
 
-class Layout(NamedTuple):
+class TableLayout(NamedTuple):
     """Positions from the first joint in shares of the hand's reach; heights above the table."""
 
     table: tuple[float, float, float, float]  # from x, to x, half width, thickness
     wall: tuple[float, float, float, float]  # its x, edges along x and y, height
     hand: tuple[float, float, float]  # x, y to both sides, height
-    room: float  # of the hand around that, to all sides
+    around: float  # distance from there within which the hand may be
 
 
-LAYOUTS = (
-    Layout((0.3, 1.0, 0.8, 0.05), (0.5, 0.4, 0.06, 0.45), (0.5, 0.4, 0.32), 0.12),
-    Layout((0.3, 1.0, 0.8, 0.05), (0.6, 0.3, 0.06, 0.3), (0.55, 0.35, 0.25), 0.25),
-    Layout((0.2, 1.0, 0.8, 0.05), (0.6, 0.1, 0.06, 0.2), (0.5, 0.3, 0.3), 0.5),
-    # a post; anywhere beside it
-    Layout((0.6, 0.7, 0.05, 0.1), (0.65, 0.05, 0.05, 0.05), (0.0, 0.0, 0.0), 2.0),
+TABLE_LAYOUTS = (
+    TableLayout((0.3, 1.0, 0.8, 0.05), (0.5, 0.4, 0.06, 0.45), (0.5, 0.4, 0.32), 0.12),
+    TableLayout((0.3, 1.0, 0.8, 0.05), (0.6, 0.3, 0.06, 0.3), (0.55, 0.35, 0.25), 0.25),
+    TableLayout((0.2, 1.0, 0.8, 0.05), (0.6, 0.1, 0.06, 0.2), (0.5, 0.3, 0.3), 0.5),
+    # a post; the hand may be anywhere
+    TableLayout((0.6, 0.7, 0.05, 0.1), (0.65, 0.05, 0.05, 0.05), (0.0, 0.0, 0.0), 2.0),
 )
 
 
 def problem_template(source: Mapping[str, Any]) -> dict[str, Any]:
-    """Json of a problem that can be planned, for a robot's json; InvalidInputError: none found."""
+    """Return json of a problem that birrt solves, for the json of a robot.
+
+    Raises:
+        InvalidInputError: no such problem is found.
+    """
     robot = robot_from_source(source)
     head = {
-        "$schema": "problem.schema.json",  # written beside the problem, so that both can be moved
+        "$schema": "problem.schema.json",  # written into the folder of the problem
         "schema": PlanningProblem.SCHEMA,
-        "_comment": COMMENTS["problem"],
+        "_comment": PROBLEM_COMMENTS["problem"],
     }
     if len(robot.end_effectors) > 1:
-        return {**head, **two_arms_template(source), "_comment": COMMENTS["two arms"]}
+        return {**head, **two_arms_template(source), "_comment": PROBLEM_COMMENTS["two arms"]}
     plain: dict[str, Any] = {**head, "name": "mine", "robot": dict(source)}
-    for layout in LAYOUTS:
+    for layout in TABLE_LAYOUTS:
         for axis in _axes(robot):
             top, scene = _scene(robot, layout)
             begun = {
                 **plain,
                 "scene": scene,
                 "constraint": {
-                    "_comment": COMMENTS["constraint"],
-                    "upright": {"tilt": TILT, "axis": axis},
+                    "_comment": PROBLEM_COMMENTS["constraint"],
+                    "upright": {"tilt": TEMPLATE_TILT_RAD, "axis": axis},
                 },
             }
             for start, goal in _ends(robot, from_plain(Scene, scene), layout, top, axis):
                 joints = dict(zip(robot.joint_names, start.tolist(), strict=True))
                 made = {**begun, "start": joints, **_goal(robot, goal)}
-                if _solved(PlanningProblem.from_dict(made), matters=layout is not LAYOUTS[-1]):
+                blocked = layout is not TABLE_LAYOUTS[-1]
+                if _solved(PlanningProblem.from_dict(made), blocked):
                     return made
     raise InvalidInputError(
-        f"no start and goal were found for robot {robot.name} that keep {TILT} rad of tilt and "
-        "can be planned; write a problem by hand, `cvqmpt problems new` for the panda shows how"
+        f"no start and goal were found for robot {robot.name} that keep {TEMPLATE_TILT_RAD} rad of "
+        "tilt and can be planned; write a problem by hand, `cvqmpt problems new` for the panda "
+        "shows how"
     )
 
 
 def with_limits(source: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
-    """A robot's json with its limits in full, and lines that say which of them are guesses.
+    """Return the json of a robot with all its limits, and notes that name the guessed ones.
 
-    Known limits are written as they are. Where none is known, a joint reaches its velocity limit in
-    0.5 s, and that acceleration in 0.1 s. Efforts are not guessed.
+    Known limits are written as they are. Unknown ones are guessed: a joint reaches its velocity
+    limit in 0.5 s, and this acceleration in 0.1 s. Efforts are not guessed.
     """
-    robot, limits, notes = robot_from_source(source), dict[str, Any](), list[str]()
+    robot = robot_from_source(source)
+    limits: dict[str, Any] = {}
+    notes: list[str] = []
     below = np.array(robot.model.upperVelocityLimit)
     for kind, seconds in (("acceleration", 0.5), ("jerk", 0.1)):
         known = robot.limits.get(kind)
@@ -148,15 +155,15 @@ def with_limits(source: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
     return {**source, **limits}, notes
 
 
-def _solved(problem: PlanningProblem, matters: bool) -> bool:
-    """Whether a path is found, and, where the obstacle matters, no straight motion to a goal.
+def _solved(problem: PlanningProblem, blocked: bool) -> bool:
+    """Return whether a path is found, and, if `blocked`, no straight motion leads to a goal.
 
     Every second goal is left out: those are turned by whole turns towards the start.
     """
     solution = solve(problem, "birrt", Budget(iterations=1000), seed=0, clearance=False)
     if not solution.solved or solution.path is None:
         return False
-    if not matters:
+    if not blocked:
         return True
     space, last = ConstrainedSpace.of(problem), solution.path.states[-1]
     goals = problem.goals
@@ -167,7 +174,7 @@ def _solved(problem: PlanningProblem, matters: bool) -> bool:
 
 
 def _axes(robot: Robot) -> list[Axis]:
-    """Axes of the end effector that may point up: first that of a tool that looks down."""
+    """Return axes of the end effector that may point up, first that of a tool pointing down."""
     _, T_link_hand = robot.end_effector_link
     outward = T_link_hand[2, :3] * (-1.0 if T_link_hand[2, 3] < 0.0 else 1.0)
     down = np.eye(4)
@@ -176,10 +183,10 @@ def _axes(robot: Robot) -> list[Axis]:
     return list(dict.fromkeys((upper_axis(down), upper_axis(middle))))
 
 
-def _scene(robot: Robot, layout: Layout) -> tuple[float, dict[str, Any]]:
-    """Height of the table [m], and json of the scene: a table with a wall on it.
+def _scene(robot: Robot, layout: TableLayout) -> tuple[float, dict[str, Any]]:
+    """Return the height of a table [m], and json of the scene: the table with a wall on it.
 
-    Its first object says which shapes there are.
+    A comment in the first object lists the shapes.
     """
     reach, (x, y, z) = hand_reach(robot), robot.kinematics.translation[0]
     top = 0.0 if 0.0 <= z <= 0.6 * reach else z - 0.35 * reach
@@ -189,19 +196,36 @@ def _scene(robot: Robot, layout: Layout) -> tuple[float, dict[str, Any]]:
         "table": ((end - begin, 2.0 * half, thick), (0.5 * (begin + end), -0.5 * thick)),
         "wall": (size, (at, 0.5 * size[2])),
     }
-    objects: list[dict[str, Any]] = []
-    for name, (edges, (ahead, up)) in places.items():
-        box = {"type": "box", "size": [round(float(edge), 3) for edge in edges]}
-        xyz = (np.round((x + ahead, y, top + up), 3) + 0.0).tolist()
-        objects.append({"name": name, "shape": box, "T_world_object": {"xyz": xyz}})
+    objects = [
+        box_object(name, edges, pose(np.round((x + ahead, y, top + up), 3)))
+        for name, (edges, (ahead, up)) in places.items()
+    ]
     return top, {
         "name": "room",
-        "objects": [{"_comment": COMMENTS["object"], **objects[0]}, objects[1]],
+        "objects": [{"_comment": PROBLEM_COMMENTS["object"], **objects[0]}, objects[1]],
     }
 
 
+def box_object(name: str, edges: Sequence[float], T_world_box: np.ndarray) -> dict[str, Any]:
+    """Return json of a box in a scene: its name, edges (3,) [m] and pose (4, 4)."""
+    return {
+        "name": name,
+        "shape": {"type": "box", "size": np.round(edges, 3).tolist()},
+        "T_world_object": pose_field(T_world_box),
+    }
+
+
+def pose_field(T: np.ndarray) -> dict[str, Any]:
+    """Return json of a pose (4, 4), without a rotation that is 0."""
+    xyz = (np.round(T[:3, 3], 6) + 0.0).tolist()
+    quaternion = Rotation.from_matrix(T[:3, :3]).as_quat()
+    if abs(quaternion[3]) > 1.0 - 1e-12:
+        return {"xyz": xyz}
+    return {"xyz": xyz, "quaternion": (np.round(quaternion, 7) + 0.0).tolist()}
+
+
 def _goal(robot: Robot, goal: np.ndarray) -> dict[str, Any]:
-    """The goal field: poses around one, or a configuration for arms with too few joints."""
+    """Return the goal field: poses around one pose, or a configuration for up to five joints."""
     if robot.dof <= 5:
         return {"goals": [goal.tolist()]}
     T_world_goal = robot.pose(goal)
@@ -211,18 +235,27 @@ def _goal(robot: Robot, goal: np.ndarray) -> dict[str, Any]:
 
 
 def _ends(
-    robot: Robot, scene: Scene, layout: Layout, top: float, axis: Axis
+    robot: Robot, scene: Scene, layout: TableLayout, top: float, axis: Axis
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Pairs of free configurations (n,) on the manifold, beside the wall; order of `_central`."""
+    """Yield pairs of free configurations (n,) on the manifold at both sides of the wall.
+
+    Args:
+        robot: that plans.
+        scene: table and wall.
+        layout: of the scene and the hand.
+        top: height of the table [m].
+        axis: of the end effector that points up.
+    """
     checker = CollisionChecker(robot, scene, margin=SAMPLE_MARGIN_M)
     reach, origin = hand_reach(robot), robot.kinematics.translation[0]
     x, y, z = (reach * share for share in layout.hand)
     sides = []
     for side in (-1.0, 1.0):
         place = pose((origin[0] + x, origin[1] + side * y, top + z))
-        bounds = np.array([[-layout.room * reach, layout.room * reach]] * 3 + [[-FREE, FREE]] * 3)
+        around = layout.around * reach
+        bounds = np.array([[-around, around]] * 3 + [[-FREE, FREE]] * 3)
         region = TaskSpaceRegion(place, np.eye(4), bounds)
-        manifold = RegionConstraint(robot, (upright(TILT / 2, axis), region))
+        manifold = RegionConstraint(robot, (upright(TEMPLATE_TILT_RAD / 2, axis), region))
         sides.append(_central(robot, manifold, checker))
     tried = 0
     for start in sides[0][:12]:
@@ -238,7 +271,7 @@ def _ends(
 def _central(
     robot: Robot, manifold: RegionConstraint, checker: CollisionChecker, draws: int = 400
 ) -> list[np.ndarray]:
-    """Free configurations (n,) on a manifold, nearest to the middle of the joint ranges first."""
+    """Return free configurations (n,) on a manifold, those near the middle of the ranges first."""
     middle = 0.5 * (robot.lower + robot.upper)
     if robot.turning.any():
         middle = np.clip(0.0, robot.lower, robot.upper)

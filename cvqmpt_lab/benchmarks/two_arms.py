@@ -1,6 +1,6 @@
 """Two arms carry one tray or box: over a table, through a window, into a shelf.
 
-Both hands hold it as a closed chain: `relative-pose` of the second hand in the frame of the first.
+Both hands hold it, a closed chain: the second hand has a `relative-pose` in the frame of the first.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -30,12 +30,9 @@ from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box
 from cvqmpt_lab.search.result import Budget
 
-TILT = 0.1  # [rad] of the tray
-HELD = ("forward", "inward", "down")
-
 
 def _box(name: str, low: Sequence[float], high: Sequence[float]) -> SceneObject:
-    """A box between two corners [m]."""
+    """Return a box between two corners [m]."""
     size = np.subtract(high, low).round(4).tolist()
     return SceneObject(name, Box(tuple(size)), pose(0.5 * np.add(low, high).round(4)))
 
@@ -43,7 +40,7 @@ def _box(name: str, low: Sequence[float], high: Sequence[float]) -> SceneObject:
 def _over_table(
     rng: np.random.Generator, ends: np.ndarray, reach: float, size: np.ndarray, wide: float
 ) -> Iterator[SceneObject]:
-    """A table below both ends, and a block between them that is higher than what is carried."""
+    """Yield a table below both ends, and a block between them, higher than the carried object."""
     x, _, z = ends.mean(axis=0)
     top = ends[:, 2].min() - reach * rng.uniform(0.1, 0.15)
     half = 0.7 * reach
@@ -56,7 +53,7 @@ def _over_table(
 def _through_window(
     rng: np.random.Generator, ends: np.ndarray, reach: float, size: np.ndarray, wide: float
 ) -> Iterator[SceneObject]:
-    """A wall between both ends with an opening in it."""
+    """Yield a wall between both ends with an opening in it."""
     x, y, z = ends.mean(axis=0) + reach * rng.uniform(-0.03, 0.03, 3)
     across, up = wide + reach * rng.uniform(0.05, 0.12), reach * rng.uniform(0.15, 0.25)
     side, thick = max(0.8 * reach, across + 0.2 * reach), 0.02
@@ -69,7 +66,7 @@ def _through_window(
 def _into_shelf(
     rng: np.random.Generator, ends: np.ndarray, reach: float, size: np.ndarray, wide: float
 ) -> Iterator[SceneObject]:
-    """Two boards with sides around the goal, in front of the start."""
+    """Yield two boards with sides around the goal, in front of the start."""
     x, y, z = ends[1]
     front, back = x - 0.5 * size[0] - 0.03 * reach, x + 0.5 * size[0] + 0.1 * reach
     across = wide + reach * rng.uniform(0.03, 0.1)
@@ -82,43 +79,50 @@ def _into_shelf(
         yield _box(f"{name} side", (front, first, low - 0.02), (back, last, high + 0.02))
 
 
-class Layout(NamedTuple):
-    """A kind of problem; lengths in shares of what an arm reaches."""
+class CarryingLayout(NamedTuple):
+    """A kind of problem; lengths in shares of the reach of an arm."""
 
-    size: tuple[float, float, float]  # of what is carried
+    size: tuple[float, float, float]  # of the carried object
     start: tuple[float, float, float]  # its centre, from the middle between the shoulders
     goal: tuple[float, float, float]
-    held: tuple[str, ...]  # of `HELD`
-    # of a random generator, both ends (2, 3), the reach, the size (3,) and half the width of what
-    # is carried with its hands [m]
+    grasps: tuple[str, ...]  # direction of the hands: forward, inward (to each other) or down
+    # obstacles for a random generator, both ends (2, 3), the reach, the size (3,) and half the
+    # width of the carried object with its hands [m]
     scene: Callable[
         [np.random.Generator, np.ndarray, float, np.ndarray, float], Iterator[SceneObject]
     ]
 
 
-LAYOUTS: Mapping[str, Layout] = {
-    "tray-over-table": Layout(
-        (0.2, 0.22, 0.03), (0.55, 0.2, -0.1), (0.55, -0.2, -0.1), HELD, _over_table
+CARRYING_LAYOUTS: Mapping[str, CarryingLayout] = {
+    "tray-over-table": CarryingLayout(
+        size=(0.2, 0.22, 0.03),
+        start=(0.55, 0.2, -0.1),
+        goal=(0.55, -0.2, -0.1),
+        grasps=("forward", "inward", "down"),
+        scene=_over_table,
     ),
-    "tray-through-window": Layout(
-        (0.2, 0.3, 0.03), (0.45, 0.0, -0.1), (0.7, 0.0, -0.1), HELD[:2], _through_window
+    "tray-through-window": CarryingLayout(
+        size=(0.2, 0.3, 0.03),
+        start=(0.45, 0.0, -0.1),
+        goal=(0.7, 0.0, -0.1),
+        grasps=("forward", "inward"),
+        scene=_through_window,
     ),
-    "box-into-shelf": Layout(
-        (0.2, 0.25, 0.15), (0.42, 0.0, 0.0), (0.68, 0.0, -0.05), HELD[:2], _into_shelf
+    "box-into-shelf": CarryingLayout(
+        size=(0.2, 0.25, 0.15),
+        start=(0.42, 0.0, 0.0),
+        goal=(0.68, 0.0, -0.05),
+        grasps=("forward", "inward"),
+        scene=_into_shelf,
     ),
 }
-ROBOTS: Mapping[str, Mapping[str, Any]] = {
-    "baxter": {"name": "baxter"},
-    "tiago-pro": {"name": "tiago-pro"},
-}
-PROBLEMS = 30  # of each kind and robot
 
 
 @lru_cache(maxsize=8)
 def shoulders(robot: Robot) -> tuple[np.ndarray, float]:
-    """The middle (3,) between both shoulders, and how far a hand gets from its own [m].
+    """Return the middle (3,) between both shoulders and the reach of a hand from its shoulder [m].
 
-    A shoulder is the origin of the first joint that moves one hand alone.
+    A shoulder is the origin of the first joint that moves only one hand.
     """
     hands = list(robot.end_effectors.values())
     moves = robot.kinematics.moves[:, [row for row, _ in hands]]
@@ -138,22 +142,26 @@ def shoulders(robot: Robot) -> tuple[np.ndarray, float]:
 def hold(
     robot: Robot, kind: str, poses: int = 12
 ) -> tuple[Attachment, np.ndarray, tuple[TaskSpaceRegion, ...]]:
-    """The grasps at both sides of what is carried that inverse kinematics reaches most often.
+    """Return the grasps at both sides of an object that inverse kinematics reaches most often.
 
-    Hands point forward, to each other, or down, turned about that by quarters. Returned are the
-    item as the first hand holds it, its size (3,) [m], and regions: held by both hands, and level.
+    Hands point forward, to each other, or down, and are turned about this direction by quarters.
 
     Args:
         robot: with two end effectors.
-        kind: of `LAYOUTS`.
-        poses: of what is carried, tried for each grasp.
+        kind: of `CARRYING_LAYOUTS`.
+        poses: number of poses of the object that are tried for each grasp.
+
+    Returns:
+        The object in the first hand, its size (3,) [m], and two regions: the pose of the second
+        hand in the first one, and the object level.
     """
     if len(robot.end_effectors) != 2:
         raise InvalidInputError(
             f"robot {robot.name} has {len(robot.end_effectors)} end effectors: name two, "
             "--end-effectors LEFT RIGHT"
         )
-    layout, (middle, reach) = LAYOUTS[kind], shoulders(robot)
+    layout = CARRYING_LAYOUTS[kind]
+    middle, reach = shoulders(robot)
     size = np.round(reach * np.array(layout.size), 2)
     rng = np.random.default_rng(0)
     around = [
@@ -163,7 +171,7 @@ def hold(
     checker = CollisionChecker(robot, Scene("none", ()), margin=SAMPLE_MARGIN_M)
     scores: dict[str, list[tuple[int, np.ndarray]]] = {}
     T_world_item = np.concatenate([region.sample_poses(rng, poses // 2) for region in around])
-    for style in layout.held:
+    for style in layout.grasps:
         for side, hand in zip((1.0, -1.0), robot.end_effectors, strict=True):
             found = []
             for roll in range(4):
@@ -181,13 +189,13 @@ def hold(
         kind.split("-")[0], Box(tuple(size.tolist())), np.linalg.inv(first), also_held_by=(right,)
     )
     closed = relative_pose(left, np.linalg.inv(first) @ second).changed(end_effector=right)
-    return item, size, (closed, symmetric_region(np.eye(4), first, [FREE] * 6, TILT))
+    return item, size, (closed, symmetric_region(np.eye(4), first, [FREE] * 6, 0.1))
 
 
 def _grasp(
     robot: Robot, hand: str, style: str, side: float, roll: int, size: np.ndarray
 ) -> np.ndarray:
-    """T_item_hand (4, 4) of a hand at the left (side 1) or right (-1) edge of a box."""
+    """Return T_item_hand (4, 4) of a hand at the left (side 1) or right (-1) edge of a box."""
     axis = outward(robot, hand)
     k, sign = "xyz".index(axis[-1]), -1.0 if axis[0] == "-" else 1.0
     tip = float((np.concatenate(list(pieces_of(robot, hand).values()))[:, k] * sign).max())
@@ -204,34 +212,41 @@ def _grasp(
 
 
 def two_arms_problem(index: int) -> PlanningProblem | UnsolvableProblem:
-    """Problem index % 30 of a kind and robot, in the order of `ROBOTS` and `LAYOUTS`."""
-    number, k = divmod(index, PROBLEMS)
-    robot, kind = tuple(product(ROBOTS, LAYOUTS))[number]
-    made = carrying_problem(robot_from_source(ROBOTS[robot]), kind, k)
+    """Return problem index % 30 of a robot (baxter, tiago-pro) and a kind of `CARRYING_LAYOUTS`."""
+    number, k = divmod(index, 30)
+    robot, kind = tuple(product(("baxter", "tiago-pro"), CARRYING_LAYOUTS))[number]
+    made = carrying_problem(robot_from_source({"name": robot}), kind, k)
     return replace(made, name=phase_problem(str(index), number + 1, f"{robot} {kind}"))
 
 
 def peers_problem(index: int, each: int = 10) -> PlanningProblem | UnsolvableProblem:
-    """One of baxter's first 10 trays over a table, or through a window, with its first goal alone.
+    """Return one of baxter's first 10 trays over a table, or through a window, with one goal.
 
     Args:
         index: 0 to 19.
-        each: so many of a kind.
+        each: number of problems of a kind.
     """
     kind, k = divmod(index, each)
-    made = two_arms_problem(kind * PROBLEMS + k)
+    made = two_arms_problem(30 * kind + k)
     return with_first_goal(replace(made, name=f"{index}/{made.name.partition('/')[2]}"))
 
 
 def carrying_problem(
     robot: Robot, kind: str, number: int, draws: int = 20
 ) -> PlanningProblem | UnsolvableProblem:
-    """Problem `number` of a kind for a robot with two hands: the first of 20 scenes with both ends.
+    """Return a problem of a kind in the first of some scenes that has a free start and goal.
 
-    Start and goal are drawn around those of the layout; what is carried is level, and may yaw.
+    Start and goal are drawn around those of the layout; the carried object is level and may yaw.
+
+    Args:
+        robot: with two hands.
+        kind: of `CARRYING_LAYOUTS`.
+        number: of the problem.
+        draws: number of scenes that are tried.
     """
-    (item, size, constraint), (middle, reach) = hold(robot, kind), shoulders(robot)
-    layout = LAYOUTS[kind]
+    item, size, constraint = hold(robot, kind)
+    middle, reach = shoulders(robot)
+    layout = CARRYING_LAYOUTS[kind]
     T_item_hand = np.linalg.inv(item.T_hand_object)
     beyond = (T_item_hand, T_item_hand @ constraint[0].T0_w)
     wide = max(abs(T[1, 3]) for T in beyond) + 0.08
@@ -247,7 +262,7 @@ def carrying_problem(
         checker = CollisionChecker(robot, scene, (item,), margin=SAMPLE_MARGIN_M)
         ends_found, near = [], None
         for region in regions:
-            # a goal in a posture like the start's: both hands cannot change it while they hold on
+            # a goal in a posture like the start's: the hands cannot change it while they hold
             found = find_in_region(
                 robot, region, checker, rng, count=1, within=constraint, near=near
             )
@@ -269,9 +284,17 @@ def carrying_problem(
 
 
 def two_arms_template(source: Mapping[str, Any], numbers: int = 10) -> dict[str, Any]:
-    """Json of a problem of two hands that is solved; InvalidInputError: none of `numbers` is."""
+    """Return json of a problem of two hands that birrt solves.
+
+    Args:
+        source: json of the robot.
+        numbers: problems of each kind that are tried.
+
+    Raises:
+        InvalidInputError: none of them is solved.
+    """
     robot = robot_from_source(source)
-    for kind, number in product(LAYOUTS, range(numbers)):
+    for kind, number in product(CARRYING_LAYOUTS, range(numbers)):
         made = carrying_problem(robot, kind, number, draws=1)
         if isinstance(made, PlanningProblem):
             solution = solve(made, "birrt", Budget(iterations=2000), seed=0, clearance=False)

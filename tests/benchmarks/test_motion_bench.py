@@ -13,9 +13,9 @@ from cvqmpt_lab.base.caches import cache_folder
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.benchmarks.item import UnsolvableProblem
 from cvqmpt_lab.benchmarks.motion_bench import (
-    ARCHIVE,
-    DIGESTS,
-    ROBOTS,
+    BENCH_ARCHIVE,
+    BENCH_DIGESTS,
+    BENCH_HANDS,
     fetch,
     level_problem,
     motion_bench_problem,
@@ -65,12 +65,12 @@ def tar_of(files, kind, link=""):
 def archive_of(folder, leave_out="", **more):
     """An archive in the form of the real one."""
     texts = {
-        f"problems/box_{r}/{k}0001.yaml": b"a: 1" for r in ROBOTS for k in ("scene", "request")
+        f"problems/box_{r}/{k}0001.yaml": b"a: 1" for r in BENCH_HANDS for k in ("scene", "request")
     }
     problems = tar_of(texts, "w:bz2", link="problems/box_panda/scene0002.yaml")
     files = {
         f"vamp-1/resources/{robot}/{name}": data
-        for robot in ROBOTS
+        for robot in BENCH_HANDS
         if robot != leave_out
         for name, data in {
             f"{robot}.urdf": b"<robot/>",
@@ -79,7 +79,7 @@ def archive_of(folder, leave_out="", **more):
             "meshes/hand.obj": b"v 0 0 0",
         }.items()
     }
-    path = folder / ARCHIVE
+    path = folder / BENCH_ARCHIVE
     path.write_bytes(tar_of(files | more, "w:gz", link="vamp-1/resources/panda/link.urdf"))
     return path
 
@@ -90,14 +90,17 @@ def test_only_descriptions_and_problems_are_unpacked(tmp_path):
     unpack(archive_of(tmp_path, **more), tmp_path / "robots")
     found = {str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*") if path.is_file()}
     names = ("{0}.urdf", "{0}.srdf", "problems.tar.bz2", "meshes/hand.obj")
-    assert found == {ARCHIVE, *(f"robots/{r}/{n.format(r)}" for r in ROBOTS for n in names)}
+    assert found == {
+        BENCH_ARCHIVE,
+        *(f"robots/{r}/{n.format(r)}" for r in BENCH_HANDS for n in names),
+    }
     data = (tmp_path / "robots/ur5/problems.tar.bz2").read_bytes()
     assert read_texts(data, "panda") == {"box/scene0001": "a: 1", "box/request0001": "a: 1"}
     path = archive_of(tmp_path, leave_out="fetch")
     refused("lacks resources/fetch/fetch.urdf", unpack, path, tmp_path / "robots")
     refused("panda.urdf is too large", unpack, path, tmp_path / "robots", most=7)
     path.write_bytes(path.read_bytes()[:-200])
-    refused(f"{ARCHIVE} is changed or cut", unpack, path, tmp_path / "robots")
+    refused(f"{BENCH_ARCHIVE} is changed or cut", unpack, path, tmp_path / "robots")
     assert (tmp_path / "robots/fetch/fetch.urdf").exists()  # the former ones
 
 
@@ -135,10 +138,10 @@ def test_problems_that_were_not_fetched_or_have_changed_are_refused(empty_cache,
     path = archive_of(empty_cache)
     digest = hashlib.sha256(path.read_bytes()).hexdigest()
     said = command_refused(capsys, "problems", "fetch", "motion-bench")
-    assert all(word in said for word in (str(path), digest, DIGESTS[ARCHIVE], fetched))
+    assert all(word in said for word in (str(path), digest, BENCH_DIGESTS[BENCH_ARCHIVE], fetched))
     unpack(path, empty_cache / "robots")
     said = command_refused(capsys, "problems", "list", "motion-bench")
-    assert "problems.tar.bz2 is changed or cut" in said and DIGESTS["panda"] in said
+    assert "problems.tar.bz2 is changed or cut" in said and BENCH_DIGESTS["panda"] in said
 
 
 def test_what_pip_says_is_told_in_one_line(empty_cache, tmp_path, monkeypatch):
@@ -146,10 +149,10 @@ def test_what_pip_says_is_told_in_one_line(empty_cache, tmp_path, monkeypatch):
     monkeypatch.setenv("PIP_NO_INDEX", "1")
     monkeypatch.setenv("PIP_FIND_LINKS", str(tmp_path))
     said = refused("pip cannot download vamp-planner 0.6.4: No matching", fetch)
-    assert f"put {ARCHIVE} into {empty_cache}" in said
+    assert f"put {BENCH_ARCHIVE} into {empty_cache}" in said
     path = archive_of(tmp_path)
     digest = hashlib.sha256(path.read_bytes()).hexdigest()
-    assert digest in refused(f"Expected sha256 {DIGESTS[ARCHIVE]}, Got", fetch)
+    assert digest in refused(f"Expected sha256 {BENCH_DIGESTS[BENCH_ARCHIVE]}, Got", fetch)
 
 
 def cached():

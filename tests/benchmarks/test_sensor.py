@@ -7,7 +7,7 @@ import pytest
 
 from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.benchmarks.item import SensedProblem, UnsolvableProblem
-from cvqmpt_lab.benchmarks.sensor_task import ROOM, scanned_scene, sensor_problem
+from cvqmpt_lab.benchmarks.sensor_task import scanned_scene, sensor_problem
 from cvqmpt_lab.benchmarks.suite import suite_named
 from cvqmpt_lab.experiments.experiment import Experiment
 from cvqmpt_lab.experiments.run import outcome_of
@@ -32,7 +32,7 @@ def test_starts_and_goals_have_room_and_cameras_stand_in_the_open(number):
     np.testing.assert_array_equal(*([camera.eye for camera in each] for each in (cameras, same)))
     assert len(cameras) == 2
     for q in (truth.start, truth.goals[0]):
-        assert not truth.collision_checker(ROOM - 1e-4).in_collision(q)
+        assert not truth.collision_checker(0.06 - 1e-4).in_collision(q)
         np.testing.assert_allclose(truth.manifold.residual(q), 0.0, atol=1e-3)
     for camera in cameras:
         for solid in solids_of(truth.scene.obstacles):

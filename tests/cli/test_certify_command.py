@@ -9,7 +9,7 @@ from command_line import refused
 from numpy.polynomial import Polynomial
 
 from cvqmpt_lab.base.poses import pose
-from cvqmpt_lab.benchmarks.place_task import DOOR, carried_can
+from cvqmpt_lab.benchmarks.place_task import SHELF_DOOR, carried_can
 from cvqmpt_lab.certificate import between_states
 from cvqmpt_lab.cli.main import main
 from cvqmpt_lab.constraints.report import displacements
@@ -184,7 +184,7 @@ def test_a_path_into_a_closed_door_or_to_a_goal_2_mm_away_is_refused(
     judged, region_problem, states
 ):
     scene, region = region_problem.scene, region_problem.goal_region
-    code, found = judged(states, replace(region_problem, scene=scene.with_joint(DOOR, 0.0)))
+    code, found = judged(states, replace(region_problem, scene=scene.with_joint(SHELF_DOOR, 0.0)))
     assert code == 1 and any("door_left" in fault["text"] for fault in found["faults"])
     moved = replace(region, T0_w=region.T0_w @ pose((0.0, 0.0, 2e-3)))
     code, found = judged(states, replace(region_problem, goal_region=moved))

@@ -8,8 +8,7 @@ from command_line import refused, run_here
 
 from cvqmpt_lab.base.codec import to_plain
 from cvqmpt_lab.base.files import json_text
-from cvqmpt_lab.benchmarks.kitchen import kitchen
-from cvqmpt_lab.benchmarks.place_task import DOOR, DOOR_ANGLE, place_problem
+from cvqmpt_lab.benchmarks.place_task import place_kitchen, place_problem
 from cvqmpt_lab.results.provenance import ProvenanceFile
 from cvqmpt_lab.results.row import RUNS_FILE, read_rows
 
@@ -38,7 +37,7 @@ def folder(tmp_path):
     for index, name in enumerate(("b2", "b10")):
         place_problem(index).save(folder / f"{name}.json")
     changed(folder / "b2.json", name="first/2-carry", scene="room.json")
-    room = to_plain(kitchen(door_angles={DOOR: DOOR_ANGLE}))
+    room = to_plain(place_kitchen())
     (folder / "room.json").write_text(json_text(room))
     changed(folder / "b10.json", name="second")
     for name in ("problem.schema.json", ".hidden.json", "notes.txt"):

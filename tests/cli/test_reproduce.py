@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from cvqmpt_lab.base.errors import UnknownChoiceError
-from cvqmpt_lab.benchmarks.declarations import ALL_PLANNERS, SUITES, Amount
+from cvqmpt_lab.benchmarks.declarations import SUITES, Amount, PlannerGroups
 from cvqmpt_lab.cli.reproduce_command import OverallProgress
 from cvqmpt_lab.experiments import experiment
 from cvqmpt_lab.experiments.experiment import Experiment, parts_of
@@ -22,7 +22,7 @@ def test_every_suite_and_the_controls_are_part_of_everything():
     others = {"peers", "peers-two-arms", "motion-bench", "motion-bench-upright", "executed"}
     assert full.keys() == {*SUITES, "controls"} - others
     assert set(full["controls"].planners) > set(CONTROLS)
-    assert tuple(PLANNERS) == ALL_PLANNERS
+    assert tuple(PLANNERS) == PlannerGroups.every
     with pytest.raises(UnknownChoiceError, match="tiny"):
         parts_of("tiny")
 

@@ -6,8 +6,12 @@ from scipy.spatial import ConvexHull
 
 from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.benchmarks.families import random_scene
-from cvqmpt_lab.benchmarks.kitchen import kitchen
-from cvqmpt_lab.benchmarks.place_task import DOOR, DOOR_ANGLE, carried_can, door_problem, door_world
+from cvqmpt_lab.benchmarks.place_task import (
+    carried_can,
+    door_problem,
+    door_world,
+    place_kitchen,
+)
 from cvqmpt_lab.collision import arrays
 from cvqmpt_lab.collision.covers import cut_into_pieces
 from cvqmpt_lab.collision.exact import CollisionChecker
@@ -88,7 +92,7 @@ SPONGE = PointCloud(np.random.default_rng(6).uniform(-0.05, 0.05, (200, 3)), 0.0
 CARRIED = (Sphere(0.06), Box((0.05, 0.3, 0.1)), Cylinder(0.05, 0.3), SPONGE)
 
 
-KITCHEN, CAN = kitchen(door_angles={DOOR: DOOR_ANGLE}), (carried_can(),)
+KITCHEN, CAN = place_kitchen(), (carried_can(),)
 CASES = (
     *((KITCHEN, *rest) for rest in ((8000, (), 0.0), (3000, CAN, 0.0), (2000, (), 0.03))),
     (random_scene(1), 2000, CAN, 0.0),

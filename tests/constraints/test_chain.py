@@ -14,9 +14,9 @@ from cvqmpt_lab.base.errors import CvqmptError
 from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.benchmarks.kitchen import kitchen
 from cvqmpt_lab.benchmarks.place_task import (
-    BAR,
-    DOOR,
-    OPEN,
+    DOOR_OPEN_RAD,
+    HANDLE_BAR,
+    SHELF_DOOR,
     bar_pose,
     door_problem,
     door_world,
@@ -59,18 +59,18 @@ def test_projection_lands_on_the_handle():
     assert angles.min() >= -1.57 and angles.max() <= 0.0 and np.ptp(angles) > 1.0
     for q in landed:
         assert np.linalg.norm(of_hand(robot, chain, q)[:5]) <= PROJECTION_TOLERANCE + 1e-9
-        bar = np.linalg.inv(robot.pose(q)) @ robot.pose(q, BAR)
+        bar = np.linalg.inv(robot.pose(q)) @ robot.pose(q, HANDLE_BAR)
         np.testing.assert_allclose(bar[:3, 3], (0.0, 0.0, 0.10), atol=2e-4)
 
 
 def test_goals_have_the_door_where_the_hand_takes_it(door):
     """Goal poses do not set the door angle: it follows from the held handle."""
     assert len(door.goals) == 20
-    np.testing.assert_allclose(door.goals[:, 7], OPEN, atol=1e-5)
+    np.testing.assert_allclose(door.goals[:, 7], DOOR_OPEN_RAD, atol=1e-5)
     np.testing.assert_allclose(door.start[7], 0.0, atol=1e-5)
     rng, checker = np.random.default_rng(0), door.collision_checker()
     free = sample_region(door.robot, door.goal_region, checker, rng, count=5)
-    assert np.abs(free.configurations[:, 7] - OPEN).max() > 0.1
+    assert np.abs(free.configurations[:, 7] - DOOR_OPEN_RAD).max() > 0.1
 
 
 def test_chains_survive_json_and_need_their_base(panda):
@@ -120,11 +120,11 @@ def test_every_planner_opens_the_door(panda, door, name):
     found = solve(door, planner_named(name), Budget(seconds=30.0), seed=0)
     assert found.solved, (found.plan.status, found.certificate and found.certificate.reasons)
     states = found.path.states
-    assert abs(states[0, 7]) < 1e-5 and abs(states[-1, 7] - OPEN) < 1e-5
+    assert abs(states[0, 7]) < 1e-5 and abs(states[-1, 7] - DOOR_OPEN_RAD) < 1e-5
     metres, radians = handle_errors(door, states)
     assert metres < 2e-3 and radians < np.deg2rad(0.5)
-    scene = kitchen(door_angles={DOOR: float(states[-1, 7])})
-    np.testing.assert_allclose(scene[BAR].T_world_object, bar_pose(OPEN), atol=1e-5)
+    scene = kitchen(door_angles={SHELF_DOOR: float(states[-1, 7])})
+    np.testing.assert_allclose(scene[HANDLE_BAR].T_world_object, bar_pose(DOOR_OPEN_RAD), atol=1e-5)
     assert not CollisionChecker(panda, scene).in_collision(states[-1, :7])
 
 
@@ -142,7 +142,7 @@ def test_the_certificate_sees_the_door_hit_something(door, opened):
     blocked = replace(door, scene=door.scene.with_objects(brick))
     checker = blocked.collision_checker()
     assert not checker.in_collision(door.start)
-    assert f"in collision: {DOOR}/panel and brick" in certify(blocked, opened.path).reasons
+    assert f"in collision: {SHELF_DOOR}/panel and brick" in certify(blocked, opened.path).reasons
 
 
 def test_the_certificate_sees_an_end_with_the_door_elsewhere(door, opened):

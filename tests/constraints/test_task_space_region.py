@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from cvqmpt_lab.base.codec import from_plain, to_plain
 from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.benchmarks.kitchen import kitchen
-from cvqmpt_lab.benchmarks.place_task import DOOR
+from cvqmpt_lab.benchmarks.place_task import SHELF_DOOR
 from cvqmpt_lab.constraints.named import Region
 from cvqmpt_lab.constraints.region_constraint import RegionConstraint, stack_regions
 from cvqmpt_lab.constraints.task_space_region import (
@@ -22,7 +22,7 @@ from cvqmpt_lab.scene.articulation import take_out
 
 KINK = 1e-3  # rows this close to a bound, or to angle pi, have no derivative
 FREE = (-np.inf, np.inf)
-ROBOTS = ("panda", "slider_arm", DOOR, "indigo_drawer_top")
+ROBOTS = ("panda", "slider_arm", SHELF_DOOR, "indigo_drawer_top")
 
 
 @pytest.fixture

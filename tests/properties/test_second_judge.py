@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from second_judge import WORLD, Arm, Judge, body_of
 
 from cvqmpt_lab.base.codec import to_plain
-from cvqmpt_lab.benchmarks.two_arms import LAYOUTS, hold
+from cvqmpt_lab.benchmarks.two_arms import CARRYING_LAYOUTS, hold
 from cvqmpt_lab.certificate.certificate import TOLERANCE, certify
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.named import relative_pose
@@ -47,7 +47,7 @@ CHAIN_STEPS = (0.01, 0.03, 0.1)  # [rad or m] between states of a closed chain, 
 SLIPS = (0.0, 1e-4, 3e-4)  # [rad or m] by which joints leave it, so that bounds are nearly broken
 # of the second hand in the frame of the first one
 FREEDOMS = ({}, {"position": 0.01, "rotation": 0.05}, {"about": "z"})
-KINDS = len(LAYOUTS) * len(FREEDOMS)
+KINDS = len(CARRYING_LAYOUTS) * len(FREEDOMS)
 
 
 class Given(NamedTuple):
@@ -110,7 +110,7 @@ def given_arm(name, folder, kind=0):
 def both_hold(robot, kind):
     """What both hands hold and how: as one, with play, or turning about an axis of a hand."""
     number, freedom = divmod(kind, len(FREEDOMS))
-    item, _, (closed, level) = hold(robot, [*LAYOUTS][number])
+    item, _, (closed, level) = hold(robot, [*CARRYING_LAYOUTS][number])
     free = relative_pose(closed.base, closed.T0_w, **FREEDOMS[freedom])
     return (item,), (free.changed(end_effector=closed.end_effector), level)
 

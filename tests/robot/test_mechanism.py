@@ -10,7 +10,13 @@ from cvqmpt_lab.base.codec import from_plain, to_plain
 from cvqmpt_lab.base.errors import CvqmptError, InvalidProblemError, UnknownChoiceError
 from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.benchmarks.kitchen import kitchen
-from cvqmpt_lab.benchmarks.place_task import BAR, DOOR, GRIP, door_problem, door_world
+from cvqmpt_lab.benchmarks.place_task import (
+    HANDLE_BAR,
+    HANDLE_GRIP_M,
+    SHELF_DOOR,
+    door_problem,
+    door_world,
+)
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.planning.pipeline import solve
@@ -56,7 +62,7 @@ def pieces(robot, q):
     return {name: vertices @ R[link].T + t[link] for name, link, vertices in in_link}
 
 
-@pytest.mark.parametrize("name", [DOOR, "dagger_door_right", DRAWER])
+@pytest.mark.parametrize("name", [SHELF_DOOR, "dagger_door_right", DRAWER])
 @pytest.mark.parametrize("taken_at", [0.0, 0.4])
 def test_parts_move_as_in_the_scene(panda, name, taken_at):
     """The scene's own articulation is the reference, also for one taken out half open."""
@@ -76,7 +82,7 @@ def test_parts_move_as_in_the_scene(panda, name, taken_at):
             np.testing.assert_allclose(placed[part].mean(axis=0), T[:3, 3], atol=1e-9)
 
 
-@pytest.mark.parametrize("name", [DOOR, "dagger_door_right", DRAWER, "indigo_door_right"])
+@pytest.mark.parametrize("name", [SHELF_DOOR, "dagger_door_right", DRAWER, "indigo_door_right"])
 def test_doors_and_drawers_move_freely_with_the_planners_margin(panda, name):
     """A door is free of collisions at all values, and door and casing overlap by < 0.1 mm."""
     whole = kitchen()
@@ -100,11 +106,13 @@ def test_doors_and_drawers_move_freely_with_the_planners_margin(panda, name):
 
 def test_only_the_named_contact_is_allowed(panda, grasp):
     """Closed fingers collide with the bar unless `may_touch` has both; other pairs are checked."""
-    source = {"name": "panda", "finger_opening": GRIP}
-    scene, item = take_out(kitchen(), DOOR)
+    source = {"name": "panda", "finger_opening": HANDLE_GRIP_M}
+    scene, item = take_out(kitchen(), SHELF_DOOR)
     strict = with_articulated_object(robot_from_source(source), item)
     pair = CollisionChecker(strict, scene).colliding_pair(grasp)
-    assert pair.first.startswith("panda_") and "finger_3" in pair.first and pair.second == BAR
+    assert (
+        pair.first.startswith("panda_") and "finger_3" in pair.first and pair.second == HANDLE_BAR
+    )
     _, robot = door_world()
     allowed = set(map(tuple, robot.source["articulated"]["may_touch"]))
     gone = set(strict.self_collision_pairs) - set(robot.self_collision_pairs)
@@ -119,18 +127,18 @@ def test_a_load_is_checked_against_door_and_casing(world, grasp):
     nothing, ends = Scene("nothing", ()), (grasp, grasp[None])
     problem = PlanningProblem("rod", world[1], nothing, *ends, attachments=(rod,))
     checker = problem.collision_checker()
-    assert checker.colliding_pair(grasp).first.startswith((DOOR, "dagger"))
+    assert checker.colliding_pair(grasp).first.startswith((SHELF_DOOR, "dagger"))
     assert checker.in_collision(grasp) and not ConstrainedSpace.of(problem).valid(grasp)
 
 
 def test_an_unknown_door_and_a_door_of_measured_points_are_refused():
     scene = kitchen()
-    part = scene.articulation(DOOR).moves[0]
+    part = scene.articulation(SHELF_DOOR).moves[0]
     measured = replace(scene[part], shape=PointCloud(np.zeros((3, 3)), 0.01))
     objects = tuple(measured if item.name == part else item for item in scene.objects)
-    message = f"'{part}', a part of '{DOOR}', is measured points"
+    message = f"'{part}', a part of '{SHELF_DOOR}', is measured points"
     refused(r"'fridge'.*dagger_door_left", take_out, scene, "fridge", error=UnknownChoiceError)
-    refused(message, take_out, replace(scene, objects=objects), DOOR)
+    refused(message, take_out, replace(scene, objects=objects), SHELF_DOOR)
 
 
 def test_bad_objects_are_refused(panda, world):
@@ -138,8 +146,8 @@ def test_bad_objects_are_refused(panda, world):
     item = from_plain(ArticulatedObject, robot.source["articulated"])
     refused("has an articulated object already", with_articulated_object, robot, item)
     for changes, message in (
-        ({"may_touch": (("palm", BAR),)}, r"'palm'.*panda_hand_0"),
-        ({"may_touch": (("panda_hand_0", "knob"),)}, f"'knob'.*{BAR}"),
+        ({"may_touch": (("palm", HANDLE_BAR),)}, r"'palm'.*panda_hand_0"),
+        ({"may_touch": (("panda_hand_0", "knob"),)}, f"'knob'.*{HANDLE_BAR}"),
         ({"name": "panda_hand"}, "'panda_hand' already"),
     ):
         bad = replace(item, **changes)

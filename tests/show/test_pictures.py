@@ -10,7 +10,7 @@ from refusals import refused
 
 from cvqmpt_lab.base.codec import from_plain
 from cvqmpt_lab.base.poses import pose
-from cvqmpt_lab.benchmarks.place_task import CAN_NAME, DOOR, carried_can
+from cvqmpt_lab.benchmarks.place_task import SHELF_DOOR, carried_can
 from cvqmpt_lab.certificate.certificate import certify
 from cvqmpt_lab.constraints.named import Region
 from cvqmpt_lab.constraints.task_space_region import upright, upright_box
@@ -147,7 +147,7 @@ def test_pictures_film_and_recording_of_a_task(task_solution, recorded, tmp_path
     rows = recorded(tmp_path / "task.rrd", "task_time")
     moments = {entity: count for entity, count in rows.items() if count}
     assert moments.pop("/phase") == len(task_solution.task.phases)
-    assert f"/world/moving/{CAN_NAME}" in moments and f"/world/moving/{DOOR}/handle_bar" in moments
+    assert "/world/moving/can" in moments and f"/world/moving/{SHELF_DOOR}/handle_bar" in moments
     assert "/world/robot/panda_leftfinger_0" in moments
     assert "/world/moving/mustard_bottle" not in moments
     duration = sum(outcome.trajectory.duration for outcome in task_solution.outcomes)

@@ -8,7 +8,7 @@ import pytest
 from refusals import refused
 
 from cvqmpt_lab.base.poses import pose
-from cvqmpt_lab.benchmarks.place_task import CAN_NAME, carried_can
+from cvqmpt_lab.benchmarks.place_task import carried_can
 from cvqmpt_lab.certificate.certificate import FaultKind, certify
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.experiments.experiment import Experiment
@@ -41,7 +41,7 @@ def grasping(task, shape):
 
 
 def grasping_a_map(task):
-    cells = replace(task.scene[CAN_NAME], name="map", shape=OccupancyMap(np.zeros((1, 3))))
+    cells = replace(task.scene["can"], name="map", shape=OccupancyMap(np.zeros((1, 3))))
     return changed(replace(task, scene=task.scene.with_objects(cells)), "grasp-can", object="map")
 
 
@@ -96,7 +96,7 @@ def test_the_carried_object_has_its_pose_in_the_scene_not_the_expected_one(
     can, item = carrying.held.attachment, carrying.held.item
     before = replace(carrying, held=None, scene=carrying.scene.with_objects(item))
     written = replace(can, T_hand_object=can.T_hand_object @ T_written)
-    phase = Grasp("grasp-can", CAN_NAME, {}, written)
+    phase = Grasp("grasp-can", "can", {}, written)
     if told:
         refused(told, before.after, phase)
         return
