@@ -37,7 +37,7 @@ class JudgedClaim(NamedTuple):
 
     @property
     def word(self) -> Word:
-        """Over all verdicts of the claim."""
+        """Word of all verdicts of the claim together."""
         return Word.UNTESTABLE if self.claim.untestable else overall(self.verdicts)
 
     @property
@@ -53,9 +53,9 @@ class JudgedClaim(NamedTuple):
 
 
 def judged_claims(found: Mapping[str, Evidence]) -> list[JudgedClaim]:
-    """Every claim by results directories, by name.
+    """Return every claim, judged by results directories by name.
 
-    Rows of a profile too small for verdicts leave everything inconclusive.
+    Claims are inconclusive where rows are of a profile that is too small for verdicts.
     """
     known, judged = not profiles(found), []
     for claim in CLAIMS:
@@ -70,7 +70,7 @@ def judged_claims(found: Mapping[str, Evidence]) -> list[JudgedClaim]:
 
 
 def error_level() -> float:
-    """Of one interval, two-sided: all claims that can be tested share LEVEL; each look is one."""
+    """Return the two-sided level of one interval: LEVEL, Bonferroni-corrected for all tests."""
     return LEVEL / sum(1 + bool(claim.again) for claim in CLAIMS if not claim.untestable)
 
 
@@ -88,7 +88,7 @@ def _verdicts(claim: Claim, evidence: Evidence) -> list[Verdict]:
 
 
 def price_lines(evidence: Evidence) -> Lines:
-    """The claims at the paper's cost, and what they would be with cheaper projections."""
+    """Return the claims at the paper's cost, as published and with cheaper projections."""
     lines = [["planner", "against", "as published", "PyBullet's kinematics"]]
     for claim in (claim for claim in CLAIMS if claim.metric == "paper_cost"):
         priced = (replace(claim, metric=metric) for metric in ("paper_cost", "pybullet_cost"))
@@ -105,9 +105,10 @@ def verdicts_of(
     cutoff: float | None = None,
     level: float | None = None,
 ) -> list[Verdict]:
-    """The claim about each of its planners that has rows, against each baseline.
+    """Return a verdict for each planner of a claim that has rows, against each baseline.
 
     Args:
+        claim: that is judged.
         rows: of one suite.
         published: the paper's numbers.
         cutoff: of the rows [s], where they have one.
@@ -133,7 +134,14 @@ def verdicts_of(
 
 
 def compared(claim: Claim, own: Rows, other: Rows, cutoff: float | None = None) -> list[Pair]:
-    """Problems with values of both planners, as the claim counts failures."""
+    """Return problems with values of both planners, with failures counted as the claim says.
+
+    Args:
+        claim: with metric and treatment of failures.
+        own: rows of the planner.
+        other: rows of the baseline.
+        cutoff: of the rows [s], if they have one.
+    """
     if claim.is_share:
         theirs = {problem_key(row): row.solved for row in other}
         runs = [(row, theirs.get(problem_key(row))) for row in own]
@@ -156,7 +164,7 @@ def _kind(claim: Claim, row: ResultRow) -> str:
 
 
 def _failed(own: Rows, other: Rows) -> tuple[int, int, int]:
-    """Failed runs of both, among the runs that both did, and how many these are."""
+    """Return failed runs of both planners, and the number of runs that both did."""
     ours = {problem_key(row): row.solved for row in own}
     theirs = {problem_key(row): row.solved for row in other}
     both = ours.keys() & theirs.keys()
@@ -165,7 +173,7 @@ def _failed(own: Rows, other: Rows) -> tuple[int, int, int]:
 
 
 def updated_codes(claim: Claim, folder: Path) -> Verdict:
-    """G of the predicted codes after the update against that before; a problem counts once."""
+    """Compare G of the predicted codes after the update with that before; a problem counts once."""
     codes = []
     with (folder / "values.csv").open(encoding="utf-8", newline="") as handle:
         for line in csv.DictReader(handle):
@@ -177,7 +185,7 @@ def updated_codes(claim: Claim, folder: Path) -> Verdict:
 
 
 def profiles(found: Mapping[str, Evidence]) -> list[str]:
-    """Profiles of `cvqmpt reproduce all` that are too small for verdicts: all but the full one."""
+    """Return the profiles of rows that are too small for verdicts: all but the full one."""
     records = [session for item in found.values() for session in sessions(item.record)]
     words = [pair for session in records for pair in pairwise(session.get("command") or [])]
     named = dict.fromkeys(after for word, after in words if word == "--profile")
@@ -185,7 +193,7 @@ def profiles(found: Mapping[str, Evidence]) -> list[str]:
 
 
 def banner(found: Mapping[str, Evidence]) -> str:
-    """A sentence where rows are of a profile that is too small for verdicts; "" elsewhere."""
+    """Return a warning if rows are of a profile that is too small for verdicts, else ""."""
     small = profiles(found)
     if not small:
         return ""
@@ -196,12 +204,12 @@ def banner(found: Mapping[str, Evidence]) -> str:
 
 
 def evidence_below(results: Path) -> dict[str, Evidence]:
-    """The results directories below a folder, by name."""
+    """Return the results directories below a folder, by name."""
     folders = sorted(path.parent for path in Path(results).glob(f"*/{PROVENANCE_FILE}"))
     return {folder.name: read_evidence(folder) for folder in folders}
 
 
 def read_evidence(folder: Path) -> Evidence:
-    """Rows and provenance of a results directory."""
+    """Return rows and provenance of a results directory."""
     rows = read_rows(folder / RUNS_FILE) if (folder / RUNS_FILE).is_file() else []
     return Evidence(folder, rows, ProvenanceFile(folder).read())

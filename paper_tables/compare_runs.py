@@ -43,9 +43,10 @@ class Compared(NamedTuple):
 
 
 def compared(a: Rows, b: Rows) -> list[Compared]:
-    """Every planner that both have.
+    """Compare every planner that both runs have.
 
-    InvalidInputError where suites, problems or seeds differ, or none is in both.
+    Raises:
+        InvalidInputError: suites, problems or seeds differ, or no planner is in both.
     """
     suites = [sorted({row.suite for row in rows}) for rows in (a, b)]
     if suites[0] != suites[1]:
@@ -64,7 +65,7 @@ def compared(a: Rows, b: Rows) -> list[Compared]:
 
 
 def planners_of_one(a: Rows, b: Rows) -> tuple[list[str], list[str]]:
-    """Planners that A alone has, and those that B alone has."""
+    """Return the planners that only A has, and those that only B has."""
     of_a, of_b = by_planner(a, ()), by_planner(b, ())
     return [name for name in of_a if name not in of_b], [name for name in of_b if name not in of_a]
 
@@ -92,13 +93,13 @@ def _compared(planner: str, a: Rows, b: Rows) -> Compared:
 
 
 def named(pairs: Collection[Pair], most: int = 3) -> str:
-    """The first of some runs by problem and seed."""
+    """Return the first runs as text, by problem and seed."""
     names = [f"problem {problem} seed {seed}" for problem, seed in list(pairs)[:most]]
     return ", ".join([*names, "…"] if len(pairs) > most else names)
 
 
 def comparison_lines(found: Sequence[Compared]) -> Lines:
-    """A line for each planner."""
+    """Return a line for each planner."""
     changed = [f"{name} [%]" for name in COMPARED]
     lines = [["planner", "runs", "left out of A, B", "solved A, B [%]", *changed, "same paths"]]
     for item in found:
@@ -111,7 +112,7 @@ def comparison_lines(found: Sequence[Compared]) -> Lines:
 
 
 def clear(found: Sequence[Compared]) -> list[str]:
-    """A line for each change whose interval excludes 1, and for runs gained or lost."""
+    """Return a line for each change whose interval excludes 1, and for gained and lost runs."""
     lines = []
     for item in found:
         for name, part in item.changes.items():
@@ -126,7 +127,7 @@ def clear(found: Sequence[Compared]) -> list[str]:
 
 
 class Rule(NamedTuple):
-    """What must not be: a number of `Compared` that is above or below a bound."""
+    """Failure condition on a number of `Compared`."""
 
     column: str  # of COMPARED: the ratio B / A; or "solved": B - A [percentage points]
     operator: str  # of OPERATORS
@@ -137,7 +138,7 @@ class Rule(NamedTuple):
 
     @staticmethod
     def read(text: str) -> "Rule":
-        """The rule that a text says, COLUMN OP NUMBER; errors list columns and operators."""
+        """Read a rule COLUMN OP NUMBER; errors list columns and operators."""
         column, sign, number = (part.strip() for part in re.split("([<>=!]+|$)", text, maxsplit=1))
         if column not in (*COMPARED, "solved"):
             raise UnknownChoiceError(f"column in {text!r}:", column, (*COMPARED, "solved"))
@@ -155,7 +156,7 @@ class Rule(NamedTuple):
         return Rule(column, sign, bound)
 
     def broken(self, found: Sequence[Compared]) -> list[str]:
-        """A line for each planner that it holds for, and where there is nothing to judge."""
+        """Return a line for each planner that breaks the rule or cannot be judged."""
         lines = []
         for item in found:
             value = self._value(item)

@@ -19,15 +19,15 @@ from cvqmpt_lab.paper_tables.writers import Lines
 from cvqmpt_lab.results.statistics import CONFIDENCE, UNDEFINED, Interval, student_interval
 
 NOTHING = "–"
-REACHED = 0.9  # of the paper's number is as good as all of it; within 1 / REACHED is no difference
-LEVEL = 0.05  # probability of any claim of a page that is wrongly replicated, at most
-POWER = 0.8  # of a study that would decide what is inconclusive
-FEWEST = 3  # problems with numbers of both, for an interval
-DRAWS = 2000  # of studies like the paper's
+REACHED = 0.9  # share of the paper's number that counts as reaching it
+LEVEL = 0.05  # largest probability that any claim of a page is wrongly replicated
+POWER = 0.8  # of a study that would decide an inconclusive claim
+FEWEST = 3  # least number of problems for an interval
+DRAWS = 2000  # simulated studies of the paper's size
 
 
 class Word(StrEnum):
-    """What rows say of a claim, or of it against one baseline, the worst first."""
+    """Result of a claim, or of its comparison with one baseline, the worst first."""
 
     OPPOSITE = "opposite"
     SAME = "no difference"
@@ -39,7 +39,7 @@ class Word(StrEnum):
 
 
 def word_of(gain: Interval, margin: float, reached: float, similar: bool = False) -> Word:
-    """The word by where an interval lies.
+    """Return the word for an interval.
 
     Args:
         gain: interval of the gain; None where there are too few problems.
@@ -64,7 +64,7 @@ def word_of(gain: Interval, margin: float, reached: float, similar: bool = False
 
 
 def sample_size(ratio: float, level: float) -> int:
-    """Values whose mean a t test tells from a number with probability POWER.
+    """Return the number of values whose mean a t test distinguishes from a number with POWER.
 
     Args:
         ratio: their standard deviation over how far their mean is from that number.
@@ -106,7 +106,7 @@ class Verdict(NamedTuple):
 
     @property
     def gains(self) -> list[float]:
-        """Of the problems."""
+        """Gains of the problems: log ratios, or differences of solved shares."""
         if self.claim.is_share:
             return [pair.own - pair.other for pair in self.pairs]
         return [-math.log(pair.ratio) for pair in self.pairs]
@@ -127,7 +127,7 @@ class Verdict(NamedTuple):
 
     @property
     def reached(self) -> float:
-        """Nine tenths of the paper's number; the margin where it states none, or none above 0."""
+        """Gain that counts as replicated: REACHED of the paper's number, else the margin."""
         if self.paper is None or self.paper <= 0.0:
             return self.claim.margin
         if self.claim.is_share:
@@ -136,7 +136,7 @@ class Verdict(NamedTuple):
 
     @property
     def word(self) -> Word:
-        """By the rule."""
+        """Word by the rule of docs/judgement.md."""
         if self.claim.untestable:
             return Word.UNTESTABLE
         if not self.pairs:
@@ -146,7 +146,7 @@ class Verdict(NamedTuple):
 
     @property
     def inside(self) -> bool | None:
-        """Whether the paper's number lies inside our interval."""
+        """Whether the paper's number lies in the measured interval; None if one is missing."""
         low, high = self.gain.low, self.gain.high
         if self.paper is None or low is None or high is None:
             return None
@@ -154,7 +154,7 @@ class Verdict(NamedTuple):
 
     @property
     def needed(self) -> int | None:
-        """Problems that would decide an inconclusive word, at the effect and spread found here."""
+        """Number of problems that would decide an inconclusive word, at the measured effect."""
         gains = self.gains
         if self.word is not Word.OPEN or len(gains) < FEWEST:
             return None
@@ -165,10 +165,10 @@ class Verdict(NamedTuple):
 
     @property
     def resolved(self) -> Interval:
-        """Where the statistic of a study of the paper's size falls in 95 % of the cases.
+        """95 % range of the statistic of a study of the paper's size.
 
-        Drawn from these rows: so many problems, one seed, the ratio of means or the difference of
-        shares.
+        It is sampled from these rows: the paper's number of problems, one seed, the ratio of means
+        or the difference of shares.
         """
         count = self.claim.runs
         if not count or not self.pairs:
@@ -188,7 +188,7 @@ class Verdict(NamedTuple):
 
     @property
     def means(self) -> float | None:
-        """Gain by the ratio of means, the paper's statistic: a problem counts by its size."""
+        """Gain of the ratio of means, the paper's statistic, in which large values weigh more."""
         if self.claim.is_share or not self.pairs:
             return None
         own, other = (math.fsum(side) for side in self._sides())
@@ -196,7 +196,7 @@ class Verdict(NamedTuple):
 
     @property
     def heaviest(self) -> float | None:
-        """The largest share of a mean that one problem has, of either planner."""
+        """Largest share of one problem in the mean of either planner."""
         if self.claim.is_share or not self.pairs:
             return None
         return max(max(side) / math.fsum(side) for side in self._sides())
@@ -205,21 +205,21 @@ class Verdict(NamedTuple):
         return [pair.own for pair in self.pairs], [pair.other for pair in self.pairs]
 
     def shown(self, gain: float | None) -> str:
-        """A gain as a signed change of the planner's value [%], or as points of a share."""
+        """Return a gain as a signed change of the planner's value [%], or as percentage points."""
         if gain is None:
             return NOTHING
         change = 100.0 * (gain if self.claim.is_share else math.expm1(-gain))
         return f"{round(change):+d}".replace("-", "−").replace("+0", "0")
 
     def bounds_text(self, gain: Interval) -> str:
-        """Bounds of an interval as changes, the smaller first; "" without."""
+        """Return the bounds of an interval as changes, the smaller first; "" without bounds."""
         if gain.low is None:
             return ""
         bounds = (gain.low, gain.high) if self.claim.is_share else (gain.high, gain.low)
         return ", ".join(map(self.shown, bounds))
 
     def interval_text(self, gain: Interval) -> str:
-        """Estimate and bounds as changes, with the unit."""
+        """Return estimate and bounds as changes, with the unit."""
         if gain.estimate is None:
             return NOTHING
         bounds = self.bounds_text(gain)
@@ -228,13 +228,13 @@ class Verdict(NamedTuple):
 
 
 def overall(verdicts: Iterable[Verdict]) -> Word:
-    """The word of a claim: all comparisons must have it, so it is the worst of theirs."""
+    """Return the word of a claim, the worst word of its comparisons."""
     order = list(Word)
     return min((x.word for x in verdicts), key=order.index, default=Word.NO_ROWS)
 
 
 def verdict_lines(verdicts: Iterable[Verdict]) -> Lines:
-    """A line for each verdict; the last three columns are sensitivity and judge nothing."""
+    """Return a line for each verdict; its last three columns only show the sensitivity."""
     columns = "planner,against,paper,measured,problems,failed,paper inside?,verdict,to decide,"
     lines = [f"{columns}single runs resolve,means,median,heaviest".split(",")]
     for item in verdicts:

@@ -52,7 +52,7 @@ def work(row: ResultRow) -> float | None:
 def search_cost(
     row: ResultRow, residual: float = RESIDUAL_COST, step: float = NEWTON_STEP_COST
 ) -> float | None:
-    """What the work of a run costs in the published code [s].
+    """Return the time of a run's work in the published code [s].
 
     Args:
         row: of the run.
@@ -66,43 +66,43 @@ def search_cost(
 
 
 def network_time(row: ResultRow) -> float:
-    """Of encoding the scene, predicting and updating [s]."""
+    """Return the time of encoding the scene, predicting and updating [s]."""
     return (row.t_encode_s or 0.0) + (row.t_predict_s or 0.0) + (row.t_optimize_s or 0.0)
 
 
 def paper_cost(row: ResultRow, **prices: float) -> float | None:
-    """`search_cost` and networks as measured [s]; goals and shortening are in nobody's."""
+    """Return `search_cost` and measured network time [s], without goals and shortcutting."""
     search = search_cost(row, **prices)
     return None if search is None else search + network_time(row)
 
 
 def time_at(row: ResultRow, check: float) -> float | None:
-    """`own_time` where a state check costs so much more [s], and other work in proportion."""
+    """Return `own_time` if a state check costs `check` [s] more, and other work in proportion."""
     own, search = own_time(row), search_cost(row)
     return None if own is None or search is None else own + check / STATE_CHECK_COST * search
 
 
 def newton_steps(row: ResultRow) -> float | None:
-    """Newton steps a projection (Algorithm 1); None where charts count steps alone."""
+    """Return Newton steps per projection (Algorithm 1); None where only steps are counted."""
     if row.sampler_used == "atlas-charts" or not row.n_projections:
         return None
     return None if row.n_newton_iterations is None else row.n_newton_iterations / row.n_projections
 
 
 def draw_newton_steps(row: ResultRow) -> float | None:
-    """The same of draws alone, before trees extend towards them."""
+    """Return Newton steps per projection of samples, before trees extend towards them."""
     if row.n_draw_projections is None or row.n_draw_newton_iterations is None:
         return None
     return row.n_draw_newton_iterations / row.n_draw_projections
 
 
 def own_time(row: ResultRow) -> float | None:
-    """Total time without goal inverse kinematics, which is the same for all planners [s]."""
+    """Return the total time without goal inverse kinematics, equal for all planners [s]."""
     return None if row.t_total_s is None else row.t_total_s - (row.t_goals_s or 0.0)
 
 
 def known_time(row: ResultRow) -> float | None:
-    """`own_time` without encoding the scene [s]: the time in a known scene."""
+    """Return the time in a known scene: `own_time` without encoding the scene [s]."""
     own = own_time(row)
     return None if own is None else own - (row.t_encode_s or 0.0)
 
@@ -165,7 +165,7 @@ RATIOS: Mapping[str, tuple[str, Value]] = {  # by name: what is compared, and it
 
 
 def grouped(pairs: Iterable[tuple[Key, Item]]) -> dict[Key, list[Item]]:
-    """Items of (key, item) by key, in order of first appearance."""
+    """Return items of (key, item) pairs by key, in order of first appearance."""
     found: dict[Key, list[Item]] = {}
     for key, item in pairs:
         found.setdefault(key, []).append(item)
@@ -173,7 +173,7 @@ def grouped(pairs: Iterable[tuple[Key, Item]]) -> dict[Key, list[Item]]:
 
 
 def censored(rows: Rows, value: Value) -> list[list[float]]:
-    """Values of solved runs and +inf for failures, by problem; [] if no solved run has one."""
+    """Return values by problem, with +inf for failures; [] if no solved run has a value."""
     numbers = [value(row) if row.solved else math.inf for row in rows]
     if set(numbers) - {math.inf} == {None}:
         return []
@@ -182,12 +182,12 @@ def censored(rows: Rows, value: Value) -> list[list[float]]:
 
 
 def fraction(rows: Iterable[ResultRow], counted: Callable[[ResultRow], bool]) -> Interval:
-    """Mean over problems of the share of its rows [%], with Wilson's interval."""
+    """Return the mean over problems of the share of counted rows [%], with Wilson's interval."""
     return problem_share([(row.problem, counted(row)) for row in rows])
 
 
 def problem_share(flags: Iterable[tuple[str, bool]]) -> Interval:
-    """Mean over problems of the share of flags that hold [%], with Wilson's interval.
+    """Return the mean over problems of the share of true flags [%], with Wilson's interval.
 
     flags: problem, and whether one of its runs is counted.
     """
@@ -196,18 +196,18 @@ def problem_share(flags: Iterable[tuple[str, bool]]) -> Interval:
 
 
 def problem_median(values: Iterable[Sequence[float]]) -> Interval:
-    """Median over problems of the median over seeds."""
+    """Return the median over problems of the median over seeds."""
     return median_interval([median(seeds) for seeds in values])
 
 
 def problem_mean(values: Iterable[Sequence[float]]) -> Interval:
-    """Mean of finite values; all bootstraps have one seed, so that columns do not interact."""
+    """Return the mean of finite values; every bootstrap has the same random seed."""
     finite = ([number for number in seeds if math.isfinite(number)] for seeds in values)
     return mean_of_solved([fmean(seeds) for seeds in finite if seeds])
 
 
 class Pair(NamedTuple):
-    """A problem, and values of the one planner and the other, seed by seed."""
+    """Values of two planners on a problem, seed by seed."""
 
     problem: str
     values: Sequence[tuple[float, float]]
@@ -236,13 +236,17 @@ def paired(
     key: Callable[[ResultRow], Hashable] = problem_key,
     cutoff: float | None = None,
 ) -> list[Pair]:
-    """Problems that both solved; runs are paired by problem and seed, or by `key`.
+    """Return problems that both solved; runs are paired by problem and seed, or by `key`.
 
     Values that are not positive have no ratio and are left out.
 
     Args:
-        cutoff: what a failed run counts as, of either planner, and the most that any run counts;
-            then all problems that both tried are compared.
+        rows: of the planner.
+        baseline: rows of the planner to compare with.
+        value: of a row.
+        key: of rows that are paired.
+        cutoff: value of a failed run and largest value of any run; then all problems that both
+            tried are compared.
     """
 
     def counted(row: ResultRow) -> float | None:
@@ -267,7 +271,7 @@ def mean_ratio(pairs: Iterable[Pair]) -> Interval:
 
 
 def split_by_work(reference: Iterable[ResultRow]) -> Mapping[str, frozenset[ProblemKey]]:
-    """All, easy and hard runs of a planner.
+    """Return all, easy and hard runs of a planner.
 
     Hard problems have more median work than two thirds of the others.
     The median is over the planner's other seeds, so that a problem is not called hard because of
@@ -321,7 +325,7 @@ Over = Literal["all", "solved", "joint", "stated"]
 def share_of(
     counted: Callable[[ResultRow], bool], among: Callable[[ResultRow], bool] | None = None
 ) -> Measure:
-    """Percentage of the runs of a kind, with Wilson's interval."""
+    """Return the percentage of counted runs as a measure, with Wilson's interval."""
     return lambda rows, runs: fraction(filter(among, rows) if among else rows, counted)
 
 

@@ -30,7 +30,7 @@ class PublishedValue:
 
 
 def read_published(name: str, environment: str) -> tuple[PublishedValue, ...]:
-    """The paper's numbers of an environment in a file of ``published``."""
+    """Return the paper's numbers of an environment in a file of ``published``."""
     with (PUBLISHED / name).open(encoding="utf-8", newline="") as handle:
         values = [PublishedValue(**record) for record in csv.DictReader(handle)]
     return tuple(value for value in values if value.environment == environment)
@@ -38,7 +38,7 @@ def read_published(name: str, environment: str) -> tuple[PublishedValue, ...]:
 
 @dataclass(frozen=True)
 class Claim:
-    """Each of `planners` has less of `metric` than every baseline, or solves more than it."""
+    """Claim that each planner has less of a metric than every baseline, or solves more."""
 
     metric: str  # of `measures.VALUES`; or accuracy, a share of solved runs
     planners: tuple[str, ...]
@@ -62,17 +62,17 @@ class Claim:
 
     @property
     def is_share(self) -> bool:
-        """Whether it is about a share of runs."""
+        """Whether the metric is a share of runs."""
         return self.metric == "accuracy"
 
     @property
     def unit(self) -> str:
-        """Of its changes: percent, or points of a share."""
+        """Unit of a change: percent, or percentage points."""
         return "pt" if self.is_share else "%"
 
 
 def _claim(item: dict[str, Any]) -> Claim:
-    """A claim of the file, with the names of its planners and baselines."""
+    """Return a claim of the file with its planners and baselines."""
     named = item.pop("baselines", "none")
     planners = PLANNERS.get(item["planners"], (item["planners"],))
     return Claim(**item | {"planners": planners}, baselines=BASELINES.get(named, (named,)))

@@ -127,7 +127,7 @@ class SuiteTable:
 
 
 def rows_of_one_suite(rows: Iterable[ResultRow]) -> list[ResultRow]:
-    """Rows in order; InvalidInputError unless they are of exactly one suite."""
+    """Return rows in order; InvalidInputError unless they are of exactly one suite."""
     ordered = sorted_rows(rows)
     suites = sorted({row.suite for row in ordered})
     if len(suites) != 1:
@@ -136,7 +136,7 @@ def rows_of_one_suite(rows: Iterable[ResultRow]) -> list[ResultRow]:
 
 
 def by_planner(rows: Rows, published: Iterable[PublishedValue]) -> dict[str, list[ResultRow]]:
-    """Rows by planner, and by backend where several ran; the paper's first and in its order."""
+    """Return rows by planner (and backend if there are several), those of the paper first."""
     groups = grouped([((row.planner, row.backend), row) for row in rows])
     planners, paper = [planner for planner, _ in groups], [value.planner for value in published]
     places = {planner: paper.index(planner) for planner in {*planners} & {*paper}}
@@ -148,7 +148,7 @@ def by_planner(rows: Rows, published: Iterable[PublishedValue]) -> dict[str, lis
 
 
 def suite_runs(rows: Iterable[ResultRow], published: Iterable[PublishedValue] = ()) -> SuiteRuns:
-    """Rows of one suite, grouped; InvalidInputError: no rows, or rows of more than one suite."""
+    """Return grouped rows; InvalidInputError unless they are of exactly one suite."""
     ordered = rows_of_one_suite(rows)
     groups = by_planner(ordered, published)
     solving = sorted(name for name, own in groups.items() if any(row.solved for row in own))
@@ -166,7 +166,17 @@ def entry(
     group: tuple[str, ...] = (),
     suffix: str = "",
 ) -> Entry:
-    """Measure a planner on some of its rows."""
+    """Measure a planner on some of its rows.
+
+    Args:
+        name: of the planner, with its backend in brackets if there are several.
+        rows: that are measured.
+        runs: all rows of the suite.
+        columns: of the table, by name.
+        published: the paper's numbers.
+        group: cells that name the group of the rows.
+        suffix: of the metrics in csv.
+    """
     owner = name.partition(" [")[0]  # without its backend
     return Entry(
         planner=name,
@@ -182,7 +192,7 @@ def entry(
 def entries(
     runs: SuiteRuns, columns: Mapping[str, Column], published: Sequence[PublishedValue] = ()
 ) -> list[Entry]:
-    """Every planner on all its rows."""
+    """Return an entry for every planner with all its rows."""
     return [entry(name, rows, runs, columns, published) for name, rows in runs.groups.items()]
 
 
@@ -191,7 +201,7 @@ def _n_runs(rows: Iterable[ResultRow]) -> int:
 
 
 def published_notes(runs: SuiteRuns, published: Iterable[PublishedValue]) -> list[str]:
-    """Notes on the paper's numbers of planners that ran, with their metric and planners."""
+    """Return notes on the paper's numbers of planners that ran, with metric and planners."""
     ran = {row.planner for row in runs.rows}
     noted = [value for value in published if value.note and value.planner in ran]
     owners = grouped([((value.metric, value.note), value.paper_name) for value in noted])
@@ -199,7 +209,7 @@ def published_notes(runs: SuiteRuns, published: Iterable[PublishedValue]) -> lis
 
 
 def seed_notes(runs: SuiteRuns) -> Iterable[str]:
-    """How several seeds of a problem count, if there are any, and who ran fewer."""
+    """Yield notes on planners with several seeds, and on planners with fewer seeds."""
     seeds = {name: len({row.seed for row in rows}) for name, rows in runs.groups.items()}
     most = max(seeds.values())
     if most > 1:
@@ -216,14 +226,20 @@ def seed_notes(runs: SuiteRuns) -> Iterable[str]:
 
 
 def column_lines(found: Sequence[Entry], names: Iterable[str]) -> Lines:
-    """Planners as lines, some columns of theirs."""
+    """Return a line for each planner with some of its columns."""
     names = list(names)
     labels = [found[0].columns[name].label for name in names]
     return [["planner", *labels], *([item.planner, *map(item.cell, names)] for item in found)]
 
 
 def group_lines(found: Sequence[Entry], head: Sequence[str], count: str = "problems") -> Lines:
-    """Groups and planners with runs as lines, all columns; head: titles of the group's cells."""
+    """Return a line for each group and planner that has runs.
+
+    Args:
+        found: entries of the table.
+        head: titles of the cells that name the group.
+        count: title of the number of problems.
+    """
     lines = [[*head, "planner", count, *(column.label for column in found[0].columns.values())]]
     for item in found:
         if item.rows:
@@ -233,17 +249,17 @@ def group_lines(found: Sequence[Entry], head: Sequence[str], count: str = "probl
 
 
 def counted(found: Sequence[Entry]) -> Sections:
-    """The sections of fallbacks and failures."""
+    """Return the sections of fallbacks and failures."""
     return {"Fallbacks": count_lines(found, fallback), "Failures": count_lines(found, failure)}
 
 
 def fallback(row: ResultRow) -> tuple[str, str] | None:
-    """Phase of a task and reason, of a run whose path did not come the usual way."""
+    """Return phase and reason of a run whose path another method found; None for others."""
     return (_phase(row), row.fallback) if row.fallback else None
 
 
 def failure(row: ResultRow) -> tuple[str, str] | None:
-    """Phase of a task, reason and details of a failed run; phases not reached are none."""
+    """Return phase and reason, and details of a failed run; None for phases not reached."""
     if row.fail_reason in (None, FailReason.NOT_REACHED):
         return None
     what = ": ".join(filter(None, (_phase(row), row.fail_reason)))
@@ -255,12 +271,15 @@ def _phase(row: ResultRow) -> str:
 
 
 def count_lines(
-    found: Iterable[Entry], told: Callable[[ResultRow], tuple[str, str] | None]
+    found: Iterable[Entry], message_of: Callable[[ResultRow], tuple[str, str] | None]
 ) -> Lines:
-    """Runs of all planners by what is told of them, the most frequent first, with an example."""
+    """Return messages of all planners, the most frequent first, with one example each.
+
+    message_of: message and detail of a row; None: the row is not counted.
+    """
     lines = [["planner", "what", "for example", "runs"]]
     for item in found:
-        examples = grouped([pair for row in item.rows if (pair := told(row))])
+        examples = grouped([pair for row in item.rows if (pair := message_of(row))])
         for what, same in sorted(examples.items(), key=lambda x: (-len(x[1]), x[0])):
             runs = f"{len(same)} of {item.n_runs}"
             lines.append([item.planner, what or "–", same[0], runs])
@@ -270,7 +289,14 @@ def count_lines(
 def latex_planners(
     caption: str, suite: str, found: Sequence[Entry], metrics: Mapping[str, Mapping[str, str]]
 ) -> str:
-    """The paper's layout, planners as columns; metrics: the paper's, with our columns by title."""
+    """Return LaTeX in the paper's layout, with planners as columns.
+
+    Args:
+        caption: of the table.
+        suite: label of the table.
+        found: entries of the planners.
+        metrics: the paper's metrics, each with our columns by title.
+    """
     paper = ["", "", *(item.paper_name or item.planner for item in found)]
     names = [paper, ["", "", *(item.planner if item.paper_name else "" for item in found)]]
     return latex_table(
@@ -279,7 +305,7 @@ def latex_planners(
 
 
 def _latex_block(found: Sequence[Entry], published: str, ours: Mapping[str, str]) -> Lines:
-    """One metric: the paper's line, then an estimate and an interval for each of our columns."""
+    """Return lines of a metric: the paper's, then estimate and interval of each of our columns."""
     column = found[0].columns[next(iter(ours.values()))]
     label = column.label if column.unit == "1" else f"{column.label} ({column.unit})"
     lines = [[label, "paper", *(item.paper_cell(published) for item in found)]]
@@ -291,7 +317,7 @@ def _latex_block(found: Sequence[Entry], published: str, ours: Mapping[str, str]
 
 
 def latex_groups(caption: str, suite: str, lines: Lines) -> str:
-    """Lines of `group_lines` with a rule between groups."""
+    """Return LaTeX of `group_lines` with a rule between groups."""
     header, *rest = lines
     return latex_table(
         caption, suite, [[header], *(list(part) for _, part in groupby(rest, itemgetter(0)))]
