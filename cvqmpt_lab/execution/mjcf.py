@@ -161,7 +161,7 @@ def _add_dynamics(
 ) -> None:
     """Add the rotor's inertia, damping and the link's mass.
 
-    Fingers get a heavy rotor: without one they are so light that they give way by centimetres.
+    Fingers get a heavy rotor: without one, contacts push them aside by centimetres.
 
     body: mass [kg], centre of mass (3,) [m] and inertia (3, 3) [kg m^2].
     """
@@ -178,7 +178,7 @@ def _add_dynamics(
 def _with_doors(world: Element, scene: Scene, physics: Physics) -> dict[str, Element]:
     """Add a body with a joint for each door or drawer that moves, and return them by name.
 
-    The joint value is 0 where the door stands in the scene.
+    The value of the joint is 0 at the door's pose in the scene.
     """
     found = {}
     for name in physics.doors:

@@ -50,7 +50,8 @@ class Controller:
                 f"robot {robot.name} cannot be executed: {why}; give a URDF with masses, and "
                 "--effort"
             )
-        self.name, self.robot, self.limits = name, robot, robot.limits["effort"]
+        self.name, self.robot = name, robot
+        self.limits = robot.limits["effort"]  # (n,) [Nm or N]
         self.carry(())
 
     def carry(self, loads: Sequence[Load]) -> None:
@@ -126,11 +127,12 @@ class Simulation:
         gripper: bool,
     ) -> None:
         self.mujoco = mujoco_module()
-        self.scene, self.controller, self.physics = scene, controller, physics
+        self.scene, self.controller = scene, controller
         robot = arm
         if gripper:
             robot = with_gripper(arm)
-            self.physics = physics = physics._replace(fingers=_fingers(arm, robot))
+            physics = physics._replace(fingers=_fingers(arm, robot))
+        self.physics = physics
         text = mjcf_of(robot, scene, physics)
         self.model = model = self.mujoco.MjModel.from_xml_string(text)
         self.data = data = self.mujoco.MjData(model)
@@ -152,7 +154,7 @@ class Simulation:
         self.samples: list[Sample] = []
         self.touched: dict[tuple[str, str], Contact] = {}
         self.allowed: set[frozenset[str]] = set()  # pairs of names that may touch
-        # positions (3,) [m] of the load where it may touch what it stands on
+        # positions (3,) [m] of the load where it may touch its support
         self.rests: list[np.ndarray] = []
         self.errors: list[float] = []  # largest |q_d - q| of each period [rad or m]
         self.saturated = 0  # periods in which an effort limit was reached

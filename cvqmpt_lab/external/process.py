@@ -42,7 +42,8 @@ class PlannerProcess:
     """
 
     def __init__(self, name: str, module: str, attribute: str) -> None:
-        self.name, self.module, self.attribute = name, module, attribute
+        self.name = name
+        self.module, self.attribute = module, attribute
         self.has_planned = False  # since it was started
         self._process: subprocess.Popen[bytes] | None = None
         self._owner = 0  # id of the process that started it; a fork of that one is not the owner
@@ -152,7 +153,8 @@ class PlannerProcess:
     def _received(self, seconds: float | None) -> bytes:
         """Bytes of a complete reply."""
         assert self._process is not None
-        began, data, size = time.perf_counter(), bytearray(), LENGTH_BYTES
+        began = time.perf_counter()
+        data, size = bytearray(), LENGTH_BYTES  # received bytes; number of bytes to receive
         while len(data) < size:
             left = 0.1
             if seconds is not None:

@@ -350,7 +350,8 @@ def frames(
         pause: time for opening or closing the fingers [s].
         clearance: whether the clearance during motions is computed.
     """
-    world, time, found = World.before(solution.task), 0.0, []
+    found = []
+    world, time = World.before(solution.task), 0.0
     for phase, outcome in solution.steps:
         if not isinstance(phase, PlannedPhase):
             world = world.after(phase)

@@ -46,7 +46,8 @@ def plots_along(problem: PlanningProblem, states: np.ndarray) -> list[Plot]:
     region has a plot of the displacement with its bounds. The clearance is the smallest distance of
     any two bodies that must not touch.
     """
-    robot, tilts, found = problem.robot, [], []
+    robot = problem.robot
+    tilts, found = [], []
     for k, region in enumerate(problem.constraint):
         x = displacements(robot, region, states)
         rows = set(region.bounded_rows.tolist())

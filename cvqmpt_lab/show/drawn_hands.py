@@ -28,7 +28,8 @@ def sampled_hands(
         planner: name of the planner.
         trees: trees of its search.
     """
-    robot, rng, method = problem.robot, np.random.default_rng(0), planner_named(planner)
+    robot, rng = problem.robot, np.random.default_rng(0)
+    method = planner_named(planner)
     stages = method.stages(problem)
     if isinstance(stages.search, Portfolio) and stages.search.roadmap is not None:
         yield "search", robot.poses(stages.search.roadmap.nodes)[:, :3, 3], BODY_COLOURS["ghost"]

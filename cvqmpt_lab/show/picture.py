@@ -270,7 +270,8 @@ def strip(labels: Sequence[Label], width: int, letters_across: int = 62) -> np.n
     """
     ink, size = (40, 40, 44), max(11, width // letters_across)
     font = ImageFont.load_default(size)
-    gap, swatch, line_height = 1.3 * size, 1.3 * size, 1.9 * size
+    gap = swatch = 1.3 * size
+    line_height = 1.9 * size
     # one line per label is always enough
     image = Image.new("RGB", (width, math.ceil(len(labels) * line_height)), (255, 255, 255))
     canvas = ImageDraw.Draw(image)

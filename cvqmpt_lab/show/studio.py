@@ -293,7 +293,7 @@ class StudioPage:
         self._dragged: set[str] = set()  # names of the gizmos that the user is dragging
         self._layers: dict[str, Any] = {}  # checkboxes by name of a layer
         self._gizmos: dict[str, Any] = {}  # by "start", "goal" and "obstacle"
-        gui, scene, problem = server.gui, server.scene, live.problem
+        gui, problem = server.gui, live.problem
         # no share button, because it would send the page through a public server
         gui.configure_theme(show_logo=False, show_share_button=False)
         self._text = gui.add_markdown("planning ...")
@@ -313,7 +313,7 @@ class StudioPage:
         for kind in ("problem", "page", "picture", "trajectory"):
             gui.add_button(f"save {kind}").on_click(partial(self._save, kind))
         for name in ("start", "goal", "obstacle"):
-            gizmo = scene.add_transform_controls(f"/drag {name}", 0.2 * problem.robot.reach)
+            gizmo = server.scene.add_transform_controls(f"/drag {name}", 0.2 * problem.robot.reach)
             gizmo.visible = name != "obstacle"
             gizmo.on_update(partial(self._drag, name))
             self._gizmos[name] = gizmo
@@ -377,7 +377,8 @@ class StudioPage:
 
     def _show(self, response: Response) -> None:
         """Draw a response; called in the planning thread."""
-        problem, request, scene = response.problem, response.request, self.server.scene
+        problem, request = response.problem, response.request
+        scene = self.server.scene
         drawing = drawing_of_problem(problem, response.path, ghosts=0)
         shown = {name for name, box in self._layers.items() if box.value}
         # without slashes in the name, because viser moves a node together with its parent

@@ -242,7 +242,8 @@ def _effort_rows(
     tau = m a + c b + g, with m = M dq/ds and c = M d2q/ds2 + C(q, dq/ds) dq/ds.
     """
     assert limits.effort is not None
-    steps, lower, upper = np.diff(curve.grid), [], []
+    steps = np.diff(curve.grid)
+    lower, upper = [], []  # coefficients of b at the two ends of each interval
     for share in (0.0, 0.5, 1.0):
         s = curve.grid[:-1] + share * steps
         q, slope, bend = (curve.spline(s, order) for order in range(3))

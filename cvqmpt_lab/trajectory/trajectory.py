@@ -74,7 +74,7 @@ class Trajectory:
         return float(self.times[-1])
 
     def at(self, t: float | np.ndarray) -> JointState:
-        """State at a time or at times (k,) [s]; before the start and after the end it stands still.
+        """State at a time or at times (k,) [s]; at rest before the start and after the end.
 
         Between two states q(t) is the quintic through their positions, velocities and
         accelerations.
@@ -223,19 +223,19 @@ def _from_json(data: bytes) -> Motion:
     found = json_value(data.decode(), "it")
     if isinstance(found, list):
         return Motion(None, _table(found))
-    said = mapping(found, "", "'states', 'path' or 'points'")
-    names = said.get("joint_names", said.get("joints"))
+    content = mapping(found, "", "'states', 'path' or 'points'")
+    names = content.get("joint_names", content.get("joints"))
     if names is not None:
         if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
             raise InvalidInputError(f"'joint_names' {shown(names)}: give a list of names")
         names = tuple(names)
-    if "points" in said:
-        _refuse_unknown("the trajectory", said, ("header", "joint_names", "joints", "points"))
-        return _from_points(names, said["points"])
-    key = next((key for key in ("states", "path") if said.get(key) is not None), None)
+    if "points" in content:
+        _refuse_unknown("the trajectory", content, ("header", "joint_names", "joints", "points"))
+        return _from_points(names, content["points"])
+    key = next((key for key in ("states", "path") if content.get(key) is not None), None)
     if key is None:
         raise InvalidInputError("it has no 'states', 'path' or 'points'")
-    return Motion(names, _table(said[key]))
+    return Motion(names, _table(content[key]))
 
 
 def _from_points(names: tuple[str, ...] | None, points: list[dict[str, Any]]) -> Motion:
