@@ -30,7 +30,7 @@ Task = TypeVar("Task")
 
 
 class Lost(NamedTuple):
-    """Why there is no result of a task: its process ended, hung or ran out of memory."""
+    """Reason why a task has no result: its process ended, hung or ran out of memory."""
 
     reason: FailReason
     detail: str
@@ -38,7 +38,7 @@ class Lost(NamedTuple):
 
 @dataclass(frozen=True)
 class Executor:
-    """Applies a function to many tasks in parallel."""
+    """Executor that applies a function to many tasks in parallel."""
 
     size: int  # tasks at a time
     submit: Callable[..., Future]  # a function and its arguments
@@ -49,7 +49,7 @@ class Executor:
     def results(
         self, function: Callable[[Task], Any], tasks: Iterable[Task]
     ) -> Iterator[tuple[Task, Any]]:
-        """Every task with its result, or `Lost`, as they come; few are queued: quick interrupts."""
+        """Yield every task with its result or `Lost` when it is finished; few tasks are queued."""
         waiting = deque((task, 1) for task in tasks)
         running: dict[Future, tuple[Task, int]] = {}
         while waiting or running:
@@ -80,7 +80,7 @@ class Executor:
 
 
 def _detail(error: BaseException) -> str:
-    """Text for a row of a lost task."""
+    """Return the text for the row of a lost task."""
     code = getattr(error, "exitcode", None)  # of pebble.ProcessExpired
     if code is not None and code < 0:
         cause = "; perhaps memory ran out" if code == -signal.SIGKILL else ""
@@ -96,7 +96,7 @@ def _detail(error: BaseException) -> str:
 def local_processes(
     count: int, limit_s: Callable[[Any], float | None] = lambda task: None
 ) -> Iterator[Executor]:
-    """Processes on this machine; limit_s: time [s] after which a task is given up."""
+    """Yield an executor of processes; limit_s: time [s] after which a task is ended."""
     import pebble.pool.process
     from pebble import ProcessExpired, ProcessPool
 

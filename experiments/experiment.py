@@ -1,4 +1,4 @@
-"""Experiments: problems, planners and seeds, what decides their rows, profiles of all suites."""
+"""Experiments (problems, planners, seeds and settings), and profiles of all suites."""
 
 import math
 from collections.abc import Iterable
@@ -78,7 +78,7 @@ class Experiment:
         return {str(name): known[str(name)] for name in self.problems} if known else {}
 
     def settings(self) -> dict[str, object]:
-        """Settings that must be equal to continue a run: everything that changes a row."""
+        """Return the settings that change rows; they must be equal to continue a run."""
         return {
             "suite": suite_named(self.suite).name,
             "cutoff_s": self.budget.seconds,
@@ -114,7 +114,7 @@ class Run(NamedTuple):
 
     @property
     def method(self) -> Method:
-        """The planner with its weights."""
+        """Planner with its weights."""
         method = planner_named(self.planner, reach=self.experiment.reach)
         model = self.experiment.model
         return method if model is None or method.weights is None else method.with_model(model)
@@ -126,7 +126,7 @@ class Run(NamedTuple):
         return suite, str(self.item), self.planner, self.seed, self.experiment.backend
 
     def row(self, problem: str, reason: FailReason | None, detail: str, **values: Any) -> ResultRow:
-        """A row of this run; solved unless a reason is given."""
+        """Return a row of this run; it is solved unless a reason is given."""
         suite, _, planner, seed, backend = self.key
         return ResultRow(
             suite=suite,
@@ -142,7 +142,7 @@ class Run(NamedTuple):
 
 
 def models_of(planner: str) -> tuple[str, ...]:
-    """Names of the models that a planner needs."""
+    """Return the names of the models that a planner needs."""
     # an external planner needs none, and is perhaps not installed
     if is_external(planner.removeprefix(PREFIX)):
         return ()
@@ -151,7 +151,7 @@ def models_of(planner: str) -> tuple[str, ...]:
 
 
 def weights_of(planners: Iterable[str], model: str | None = None) -> dict[str, str]:
-    """Digests of the models that the planners need, by name; model: see `Experiment.model`."""
+    """Return digests of the planners' models by name; model: see `Experiment.model`."""
     kinds = {kind for planner in planners for kind in models_of(planner)}
     return {
         kind: weights_digest(resolve_model(model or kind, SHIPPED[kind])) for kind in sorted(kinds)
@@ -159,7 +159,7 @@ def weights_of(planners: Iterable[str], model: str | None = None) -> dict[str, s
 
 
 def externals_of(planners: Iterable[str]) -> dict[str, str]:
-    """Distributions and versions of external planners, by the planner's name."""
+    """Return distributions and versions of external planners by the planner's name."""
     made_by = {name: planner_named(name).external for name in planners}
     return {name: text for name, text in made_by.items() if text}
 
@@ -173,7 +173,7 @@ class Part(NamedTuple):
 
 
 def planners_of(suite: Suite) -> tuple[str, ...]:
-    """Default planners of a suite; of a folder, those that can plan all its problems."""
+    """Return the default planners of a suite, or those that can plan all problems of a folder."""
     if not suite.digests:
         return suite.planners
     problems = [suite.solvable(name) for name in suite.problems]
@@ -188,7 +188,7 @@ def planners_of(suite: Suite) -> tuple[str, ...]:
 
 
 def parts_of(profile: str) -> list[Part]:
-    """What a profile runs, in order; UnknownChoiceError lists the profiles."""
+    """Return the experiments of a profile in order; UnknownChoiceError lists the profiles."""
     require_choice("profile", profile, PROFILES)
     chosen = [(name, amount) for name, suite in SUITES.items() for amount in suite.amounts]
     chosen = [(name, amount) for name, amount in chosen if amount.profile == profile]

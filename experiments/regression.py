@@ -136,7 +136,7 @@ class Expectations(NamedTuple):
 
 
 def made_with() -> dict[str, str | None]:
-    """What must be equal for bit-for-bit equal results: processor, system, Python, packages."""
+    """Return the facts that decide bit-for-bit equal results: processor, system, packages."""
     record = provenance()
     packages = ("coal", "example-robot-data", "numba", "numpy", "ompl", "pin", "scipy")
     return {
@@ -207,7 +207,7 @@ def compare(
 
 
 def _unequal(pairs: Sequence[tuple[Case, Values, Values]], columns: Sequence[str]) -> list[str]:
-    """A line for each run that differs, on the first of `columns` that does."""
+    """Return a line for each run that differs, with the first different column."""
     found = []
     for case, old, new in pairs:
         changed = [name for name in columns if old[name] != new[name]]
@@ -216,7 +216,7 @@ def _unequal(pairs: Sequence[tuple[Case, Values, Values]], columns: Sequence[str
 
 
 def _out_of_bounds(pairs: Sequence[tuple[Case, Values, Values]], within: float) -> list[str]:
-    """A line for each sum over a planner's runs, with equal reasons, that is out of bounds."""
+    """Return a line for each sum over a planner's runs that is out of bounds."""
     found = []
     equal = [
         (case.planner, (old, new))
@@ -234,7 +234,7 @@ def _out_of_bounds(pairs: Sequence[tuple[Case, Values, Values]], within: float) 
 
 
 class Guarded(NamedTuple):
-    """What is run on every problem of a folder."""
+    """Settings of the runs on every problem of a folder."""
 
     planners: Sequence[str]
     seeds: Sequence[int]

@@ -55,7 +55,7 @@ def recertify(directory: Path, problems_dir: Path | None = None) -> Iterator[Rec
 
 
 def _folder_of(directory: Path, problems_dir: Path | None) -> Suite | None:
-    """Folder of a run's problem files, with digests checked; None for other runs."""
+    """Return the folder of a run's problem files after comparing digests; None for other runs."""
     file = ProvenanceFile(directory)
     known = digests_in(file.read(), "problem_files") if file.path.is_file() else {}
     if problems_dir is None and known:
@@ -76,7 +76,7 @@ def _folder_of(directory: Path, problems_dir: Path | None) -> Suite | None:
 def _recertified(
     item: object, rows: list[ResultRow], paths: Mapping[Any, np.ndarray]
 ) -> Iterator[Recertified]:
-    """New certificates of the paths of one run: of a problem, or of the phases of a task."""
+    """Yield new certificates of the paths of one run: of a problem, or of the phases of a task."""
     item = item.problem if isinstance(item, SensedProblem) else item
     if not isinstance(item, PlanningProblem | Task):
         for row in rows:
@@ -93,7 +93,7 @@ def _recertified(
 
 
 def _compared(row: ResultRow, problem: PlanningProblem, states: np.ndarray) -> Recertified:
-    """The certificate of a row's path (m, n) [rad or m], and what it contradicts."""
+    """Return the certificate of a row's path (m, n) [rad or m] and its contradictions."""
     try:
         certificate = certify(problem, JointPath(states), clearance=False)
     except InvalidInputError as error:
@@ -109,7 +109,7 @@ def _compared(row: ResultRow, problem: PlanningProblem, states: np.ndarray) -> R
 
 
 def first_path(found: Mapping[str, Evidence]) -> dict[str, dict[str, str]]:
-    """A page of the first certified path of a suite's problem, by the results directory's name."""
+    """Return a page of the first certified path of a problem, by name of the results directory."""
     # rendering takes a quarter of a second to import
     from cvqmpt_lab.show.web_page import path_html
 

@@ -42,7 +42,7 @@ from cvqmpt_lab.vqmpt.sampler_choice import SamplerChoice
 
 
 class Outcome(NamedTuple):
-    """The results of a run that are stored."""
+    """Rows and paths of a run that are stored."""
 
     rows: list[ResultRow]  # one, or one a planned phase
     # states (m, n) of the paths whose hashes stand in the rows [rad or m]
@@ -97,7 +97,7 @@ def _states(solutions: Sequence[Solution]) -> list[np.ndarray]:
 
 
 def failed_rows(run: Run, item: SuiteItem, reason: FailReason, detail: str) -> list[ResultRow]:
-    """Rows of an item that was not solved at all; later phases of a task were not reached."""
+    """Return rows of an item that was not run; later phases of a task count as not reached."""
     if isinstance(item, ExecutedProblem):
         return [run.row(name, reason, detail) for name in item.controllers]
     names = _phase_problems(item) if isinstance(item, Task) else [item.name]
@@ -108,7 +108,7 @@ def failed_rows(run: Run, item: SuiteItem, reason: FailReason, detail: str) -> l
 
 
 def result_row(run: Run, solution: Solution, goal_seconds: float) -> ResultRow:
-    """The row of a solution; undefined values stay empty."""
+    """Return the row of a solution; undefined values are None."""
     plan, shorter, certificate = solution.plan, solution.simplified, solution.certificate
     work = None if plan.as_is else plan.counters
     timings, search, more = plan.timings, plan.search_seconds, solution.improvement
@@ -157,7 +157,7 @@ def result_row(run: Run, solution: Solution, goal_seconds: float) -> ResultRow:
 
 
 def _sampler_columns(choice: SamplerChoice | None) -> dict[str, Any]:
-    """The columns of a learned sampler; `reach` is empty without a limit, as csv has no inf."""
+    """Return the columns of a learned sampler; `reach` is None without a limit: csv has no inf."""
     if choice is None:
         return {}
     return asdict(choice) | {"reach": choice.reach if math.isfinite(choice.reach) else None}
@@ -168,7 +168,7 @@ def _distance(clearance: Clearance | None) -> float | None:
 
 
 def _sampled_g(solution: Solution, draws: int = 256) -> float | None:
-    """Mean `G(q) = F(q)^T F(q)` of draws (Algorithm 2); None without samples or constraint."""
+    """Return the mean of `G(q) = F(q)^T F(q)` (Algorithm 2); None without samples or constraint."""
     problem = solution.problem
     if solution.distribution is None or not problem.constraint:
         return None
@@ -178,7 +178,7 @@ def _sampled_g(solution: Solution, draws: int = 256) -> float | None:
 
 
 def _fail_reason(solution: Solution) -> FailReason | None:
-    """The first violation of the path, or why the planner found none."""
+    """Return the first fault of the path, or the reason why the planner found none."""
     if solution.solved:
         return None
     if solution.certificate is not None:
@@ -191,7 +191,7 @@ def _defined(value: float) -> float | None:
 
 
 def _phase_problems(task: Task) -> list[str]:
-    """Names, in rows, of a task's planned phases."""
+    """Return the names of a task's planned phases in rows."""
     return [
         phase_problem(task.name, number, phase.name)
         for number, (_, phase) in enumerate(task.planned, start=1)
@@ -199,7 +199,7 @@ def _phase_problems(task: Task) -> list[str]:
 
 
 def phase_rows(run: Run, solution: TaskSolution) -> list[ResultRow]:
-    """Rows of all planned phases; those after a failed one are failures too."""
+    """Return rows of all planned phases; those after a failed one are failures, too."""
     names = _phase_problems(solution.task)
     rows = [_phase_row(run, *pair) for pair in zip(names, solution.outcomes, strict=False)]
     return rows + [
@@ -208,7 +208,7 @@ def phase_rows(run: Run, solution: TaskSolution) -> list[ResultRow]:
 
 
 def _phase_row(run: Run, problem: str, outcome: PhaseOutcome) -> ResultRow:
-    """The row of the last attempt, with time and work of all attempts."""
+    """Return the row of the last attempt with the time and work of all attempts."""
     attempts = [result_row(run, attempt, attempt.goal_seconds) for attempt in outcome.attempts]
     last = attempts[-1]
     untimed = last.solved and not outcome.solved
@@ -235,7 +235,7 @@ WARM_UP_S = 5.0  # given to a planner to warm up [s]
 def executor_for(
     experiment: Experiment, jobs: int, dask: str | None = None
 ) -> AbstractContextManager[Executor]:
-    """Processes on this machine, or the Dask cluster at an address, with our code and weights."""
+    """Return processes on this machine, or the Dask cluster at an address."""
     whole_number("jobs", jobs, 1)
     if dask is not None:
         return dask_cluster(dask, experiment.limit_s, partial(_installed, experiment))
@@ -281,12 +281,12 @@ def run_experiment(
 
 
 def default_jobs() -> int:
-    """One process per core."""
+    """Return the number of cores: one process for each."""
     return os.cpu_count() or 1
 
 
 def _installed(experiment: Experiment) -> dict[str, object]:
-    """Digests of the sources and of the planners' weights on this machine: they decide rows."""
+    """Return digests of sources, weights and problems on this machine, which decide rows."""
     library = Path(__file__).parents[1]  # cvqmpt_lab holds experiments
     return {
         "sources": sources_digest(library, library / "experiments"),
@@ -297,7 +297,7 @@ def _installed(experiment: Experiment) -> dict[str, object]:
 
 
 def _run_in_worker(one_run_a_planner: tuple[Run, ...], run: Run) -> Outcome:
-    """Outcome of a run; an unexpected error fails this run alone."""
+    """Return the outcome of a run; an unexpected error fails only this run."""
     _warm_up(tuple(one for one in one_run_a_planner if not one.method.external))
     item, goals = _item(run.experiment.suite, run.item)
     try:
@@ -314,7 +314,7 @@ def _run_in_worker(one_run_a_planner: tuple[Run, ...], run: Run) -> Outcome:
 
 @lru_cache(maxsize=1)
 def _warm_up(runs: tuple[Run, ...]) -> None:
-    """Load compiled code and planner libraries once a process by short runs: no row pays for it."""
+    """Load compiled code and planner libraries by short runs, so that no row includes this time."""
     compile_kernels(lambda _: None)
     for run in runs:
         _run_shortly(run)
@@ -340,6 +340,6 @@ def _run_shortly(run: Run) -> None:
 
 @lru_cache(maxsize=4)
 def _item(suite: str, index: int | str) -> tuple[SuiteItem, Goals | None]:
-    """An item, and the goals of a problem, drawn once for all planners."""
+    """Return an item, and the goals of a problem, which are drawn once for all planners."""
     item = suite_named(suite).item(index)
     return item, goals_of(item) if isinstance(item, PlanningProblem) else None

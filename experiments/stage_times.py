@@ -61,13 +61,13 @@ class CpuClock:
 
 
 def tuning_problems(count: int) -> list[PlanningProblem]:
-    """Place-task problems that no table reports, without their goals."""
+    """Return problems of the place task that no table reports, without their goals."""
     problems = (place_problem(environment) for environment in TUNING_ENVIRONMENTS[:count])
     return [problem for problem in problems if isinstance(problem, PlanningProblem)]
 
 
 def stage_times(problems: int) -> list[Measured]:
-    """Every stage of planning with `birrt` on tuning problems, start of the program, memory."""
+    """Measure all stages of planning with `birrt` on tuning problems, start and memory."""
     clock = CpuClock()
     states: list[float] = []
     for problem in tuning_problems(problems):
@@ -94,7 +94,7 @@ def stage_times(problems: int) -> list[Measured]:
 
 
 def _start(*words: str) -> Measured:
-    """Median wall time of starting a command: seven times, after a first one."""
+    """Return the median wall time of starting a command seven times, after a first start."""
     seconds = []
     for _ in range(8):
         began = time.perf_counter()

@@ -34,7 +34,7 @@ def require_checkout(command: str, instead: str) -> None:
 
 
 def committed_directories(results: Path = RESULTS) -> list[Path]:
-    """The directories below `results` that hold rows or figures."""
+    """Return the directories below `results` with rows or figures."""
     return sorted(path.parent for path in results.glob(f"*/{PROVENANCE_FILE}"))
 
 
@@ -64,7 +64,7 @@ def untraceable(directory: Path, models_of: Callable[[str], Collection[str]]) ->
 
 
 def differing_cells(directory: Path) -> list[str]:
-    """A line for every table of a directory's rows that is missing or differs: file, row, cell."""
+    """Return a line for every table that is missing or differs: file, row, cell."""
     if not (directory / RUNS_FILE).is_file():
         return []
     try:
@@ -82,7 +82,7 @@ def differing_cells(directory: Path) -> list[str]:
 
 
 def _first_difference(committed: bytes, fresh: str, suffix: str) -> str | None:
-    """The first line, and cell of it, in which two texts differ by more than rounding."""
+    """Return the first line and cell in which two texts differ by more than rounding."""
     old_lines = committed.decode("utf-8", "replace").split("\n")
     lines = zip_longest(old_lines, fresh.split("\n"), fillvalue="")
     for number, (old, new) in enumerate(lines, start=1):
@@ -101,7 +101,7 @@ def _first_difference(committed: bytes, fresh: str, suffix: str) -> str | None:
 
 
 def _close(was: str, now: str) -> bool:
-    """Whether numbers are equal up to rounding: a sum's last digit depends on the processor."""
+    """Return whether numbers are equal up to rounding, which depends on the processor."""
     try:
         return math.isclose(float(was), float(now), rel_tol=1e-12)
     except ValueError:

@@ -1,4 +1,4 @@
-"""Ablation of learned samplers: every choice of `vqmpt.sampler_choice`, beside uniform samples."""
+"""Ablation of learned samplers: choices of `vqmpt.sampler_choice`, and uniform samples."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
@@ -92,7 +92,7 @@ class Contrast(NamedTuple):
     within: Mapping[str, object]  # what both sides have
 
     def entry(self, runs: SuiteRuns) -> table.Entry:
-        """The ratios of the first side's rows to the second's, whose rows share all else."""
+        """Return ratios of the first side's rows to the second side's, all other factors equal."""
         sides = []
         for value in (self.one, self.other):
             wanted = {**self.within, self.factor: value}.items()
@@ -163,7 +163,7 @@ CONTRASTS = (
 
 
 def factorial_table(rows: Iterable[ResultRow], published: Sequence[PublishedValue]) -> SuiteTable:
-    """Every product, by predictor, then the contrasts."""
+    """Return the table of every product by predictor, and of the contrasts."""
     runs = table.suite_runs(rows)
     groups = sorted(runs.groups.items(), key=lambda item: _place(item[1][0]))
     found = [

@@ -1,4 +1,4 @@
-"""Rows of MotionBenchMaker's problems by robot, with those left out, beside published numbers."""
+"""Table of MotionBenchMaker's problems by robot, with omitted problems and published numbers."""
 
 import math
 from bisect import bisect_right

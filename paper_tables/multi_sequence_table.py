@@ -31,7 +31,7 @@ STATISTICS = {"mean": mean_of, "median": median_of}
 
 
 def task_rows(rows: Iterable[ResultRow], phases: Collection[str] | None = None) -> list[ResultRow]:
-    """One row for each task, planner, seed and backend: sums over the named phases, or all.
+    """Return a row for each task, planner, seed and backend: sums over the named phases, or all.
 
     ``t_total_s`` is planning and ``execution_time_s`` execution. A task is solved when all its
     phases are, the others too; the reason of a failure is that of its first failed phase.
@@ -64,7 +64,7 @@ def task_rows(rows: Iterable[ResultRow], phases: Collection[str] | None = None) 
 
 
 def of_tasks(measure: Measure, phases: Collection[str] | None = None) -> Measure:
-    """A measure of whole tasks instead of phases."""
+    """Return a measure of whole tasks instead of phases."""
     return lambda rows, runs: measure(task_rows(rows, phases), runs)
 
 
@@ -180,7 +180,7 @@ def task_table(rows: Iterable[ResultRow], published: Sequence[PublishedValue]) -
 
 
 def _time_lines(found: Sequence[Entry], part: str) -> Lines:
-    """Solved tasks and every time; the paper's beside those of its own phases."""
+    """Return lines of solved tasks and times, with the paper's for the phases that it times."""
     ours = part == "paper"
     lines = [["planner", "tasks run", "solved [%]"]]
     for label in TIMES.values():

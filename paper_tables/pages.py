@@ -83,7 +83,7 @@ def reading() -> list[str]:
 
 
 def summary_lines(claims: Iterable[JudgedClaim]) -> Lines:
-    """A line a claim, with the numbers of the comparison that decides."""
+    """Return a line for each claim with the numbers of its deciding comparison."""
     lines = [["claim", "planner", "against", "paper", "measured", "verdict", "to decide"]]
     for item in claims:
         cells = [NOTHING] * 4
@@ -105,7 +105,7 @@ def beside_lines(own: Sequence[JudgedClaim], committed: Sequence[JudgedClaim]) -
 
 
 def headline_lines(claims: Iterable[JudgedClaim]) -> Lines:
-    """The claims that the README shows: in the paper's words, measured, and why."""
+    """Return the claims of the README: the paper's words, the measurement and the reason."""
     lines = [["claim", "paper", "measured", "verdict", "why"]]
     for item in claims:
         if item.claim.why and (shown := item.deciding) is not None:
@@ -116,7 +116,7 @@ def headline_lines(claims: Iterable[JudgedClaim]) -> Lines:
 
 
 def opening(claims: Sequence[JudgedClaim]) -> str:
-    """The answer in a line, as replications are reported, and why."""
+    """Return the counts of all words in a line, and the reason."""
     count = Counter(item.word for item in claims)
     words = [Word.REPLICATED, Word.SMALLER, Word.SAME, Word.OPPOSITE, Word.OPEN]
     words += [word for word in (Word.UNTESTABLE, Word.NO_ROWS) if count[word]]
@@ -139,7 +139,7 @@ def decomposition_lines(evidence: Evidence) -> Lines:
 
 
 def kitchen_lines(found: Mapping[str, Evidence]) -> Lines:
-    """Every planner against `birrt`, in the known kitchen and in one never seen."""
+    """Return every planner against `birrt`, in the known kitchen and in an unseen one."""
     kitchens = {word: by_planner(found[suite].rows, ()) for suite, word in KITCHENS.items()}
     planners = (CVQ, OPT, "birrt-printed", "cvq-tuned", "roadmap", "roadmap-cvq", CBIRRT)
     pairs = product(planners, kitchens.items())
@@ -328,7 +328,7 @@ def _row(row: ResultRow) -> list[object]:
 
 
 def _provenance(evidence: Evidence) -> dict[str, str]:
-    """All facts of all sessions."""
+    """Return all facts of all sessions."""
     facts = []
     for session in sessions(evidence.record):
         for name, fact in session.items():

@@ -98,14 +98,14 @@ def figure_bytes(figure: Figure, kind: str, dpi: int = 160) -> bytes:
 
 
 def svg(figure: Figure) -> str:
-    """A figure as svg."""
+    """Return a figure as svg."""
     text = figure_bytes(figure, "svg", 72).decode("utf-8")
     return text[text.index("<svg") :]
 
 
 @matplotlib.rc_context(STYLE)
 def solved_curve(groups: Groups) -> str:
-    """Share of runs solved within a time."""
+    """Return a plot of the share of runs solved within a time."""
     figure, axes = _axes(max(3.4, LEGEND_LINE * len(groups)))
     for name, rows in groups.items():
         times = sorted(row.t_total_s for row in rows if row.solved and row.t_total_s)
@@ -156,7 +156,7 @@ def distribution(groups: Groups, value: Value, label: str, log: bool = True) -> 
 
 @matplotlib.rc_context(STYLE)
 def stage_times(groups: Groups) -> str:
-    """Mean time of every stage, stacked."""
+    """Return a plot of the mean time of every stage, stacked."""
     figure, axes = _axes(0.9 + LINE * len(groups))
     names, left = list(groups)[::-1], np.zeros(len(groups))
     for k, (stage, column) in enumerate(STAGES.items()):

@@ -21,7 +21,7 @@ from cvqmpt_lab.results.row import split_problem
 
 @dataclass(frozen=True)
 class Quoted:
-    """What templates may quote; `results` are directories of rows by name.
+    """Numbers that templates may quote, of results directories by name.
 
     Methods take a directory's name and a planner's. Where nothing else is said, they return a
     number with its 95 % interval. KeyError: there are no such rows.
@@ -58,11 +58,11 @@ class Quoted:
         return number(problem_median(values).estimate)
 
     def solved(self, name: str, planner: str) -> str:
-        """Certified runs of all runs, as "501 of 540"."""
+        """Return certified runs of all runs, as "501 of 540"."""
         rows = self.rows(name, planner)
         return f"{sum(row.solved for row in rows)} of {len(rows)}"
 
 
 def short(text: str) -> str:
-    """A number without its interval."""
+    """Return a number without its interval."""
     return text.partition(" [")[0]

@@ -1,4 +1,4 @@
-"""How tables are written: numbers, intervals, aligned text, Markdown, LaTeX and csv."""
+"""Text of tables: numbers, intervals, aligned text, Markdown and LaTeX."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -22,7 +22,7 @@ Sections = Mapping[str, Lines | Sequence[str]]
 
 
 def latex(text: str) -> str:
-    """Text with LaTeX's special characters escaped."""
+    """Return text with LaTeX's special characters escaped."""
     return "".join(_LATEX_ESCAPES.get(character, character) for character in text)
 
 
@@ -46,7 +46,7 @@ def bounds(interval: Interval) -> str:
 
 
 def estimate(interval: Interval) -> str:
-    """The number and its bounds."""
+    """Return the number and its bounds."""
     return f"{number(interval.estimate)} {bounds(interval)}".strip()
 
 
@@ -56,7 +56,7 @@ def rounded(interval: Interval, digits: int) -> str:
 
 
 def change(ratio: Interval) -> str:
-    """A ratio as a signed change [%]."""
+    """Return a ratio as a signed change [%]."""
     changes = ratio.mapped(lambda x: 100.0 * (x - 1.0))
     sign = "+" if (changes.estimate or 0.0) > 0.0 else ""
     return sign + estimate(changes).replace("-", "−")

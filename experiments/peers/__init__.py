@@ -16,7 +16,7 @@ from cvqmpt_lab.problem import PlanningProblem
 
 
 def versions(planner: str, *distributions: str) -> str:
-    """Distributions and their versions; InvalidInputError with the cure where one is missing."""
+    """Return distributions and versions; InvalidInputError with the cure if one is missing."""
     try:
         return ", ".join(f"{name} {metadata.version(name)}" for name in distributions)
     except metadata.PackageNotFoundError as error:

@@ -27,7 +27,7 @@ import pydrake.all as drake
 
 
 class World(NamedTuple):
-    """A problem in Drake."""
+    """Problem in Drake."""
 
     kept: tuple  # what the constraints, which are on one configuration, refer to
     upright: drake.Constraint
@@ -90,7 +90,7 @@ def _solved(
     asked: list[float],
     deadline: float,
 ) -> tuple[drake.BsplineTrajectory, bool]:
-    """The spline moved to where constraints hold at parameters asked, and whether that is so."""
+    """Return the spline that meets the constraints at some parameters, and whether it does."""
     optimizer = drake.KinematicTrajectoryOptimization(spline)
     optimizer.AddPositionBounds(problem.robot.lower, problem.robot.upper)
     optimizer.AddDurationConstraint(1.0, 1.0)

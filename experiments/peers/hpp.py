@@ -35,7 +35,7 @@ def _imported(module: str) -> ModuleType:
 
 
 def _with_libraries(attempt: Callable[[], Any], library: str = "") -> Any:
-    """Call `attempt`; load the shared libraries that it misses, with their own ones, and retry.
+    """Call `attempt`; load missing shared libraries and their dependencies, and retry.
 
     library: the library that `attempt` loads, which must not be loaded again here.
     """
@@ -63,7 +63,7 @@ def _device(robot: Robot, scene: Scene, carried: tuple[Attachment, ...]) -> Any:
 
 
 def _kept(problem: PlanningProblem, device: Any) -> Any:
-    """The constraints in HPP: the first hand is upright, and hands that hold one thing."""
+    """Return the constraints in HPP: the first hand upright, and hands that hold one object."""
     robot, held = problem.robot, fixed_holds(problem)
     core, constraints = _imported("pyhpp.core"), _imported("pyhpp.constraints")
     rest = tuple(part for part in problem.constraint if part not in held)
@@ -95,14 +95,14 @@ def _kept(problem: PlanningProblem, device: Any) -> Any:
 
 
 def _bools(values: Sequence[bool]) -> Any:
-    """HPP's list of them."""
+    """Return them as HPP's list."""
     found = pin.StdVec_Bool()
     found[:] = values
     return found
 
 
 def _posed(problem: PlanningProblem) -> Any:
-    """The problem in HPP."""
+    """Return the problem in HPP."""
     core = _imported("pyhpp.core")
     device = _device(problem.robot, problem.scene, problem.attachments)
     posed = core.Problem(device)
