@@ -180,11 +180,19 @@ def compare(
     here: Mapping[str, str | None],
     within: float = WITHIN,
 ) -> tuple[str, list[str]]:
-    """Compare outcomes with expectations: how it was done, and a line for each difference.
+    """Compare outcomes with expectations.
 
     Values must be equal on the platform and versions of the expectations. Elsewhere reasons of
-    failure must be, and sums over a planner's runs may differ by a fraction `within`. here:
-    `made_with` of this machine.
+    failure must be equal, and sums over a planner's runs may differ by a fraction.
+
+    Args:
+        expected: committed values.
+        outcomes: values of this machine by case.
+        here: `made_with` of this machine.
+        within: largest relative difference of sums.
+
+    Returns:
+        The kind of comparison, and a line for each difference.
     """
     pairs = [
         (case, expected.outcomes[case], new)

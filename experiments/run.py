@@ -97,7 +97,14 @@ def _states(solutions: Sequence[Solution]) -> list[np.ndarray]:
 
 
 def failed_rows(run: Run, item: SuiteItem, reason: FailReason, detail: str) -> list[ResultRow]:
-    """Return rows of an item that was not run; later phases of a task count as not reached."""
+    """Return rows of an item that was not run; later phases of a task count as not reached.
+
+    Args:
+        run: planner and seed.
+        item: problem or task.
+        reason: of the failure.
+        detail: one line of explanation.
+    """
     if isinstance(item, ExecutedProblem):
         return [run.row(name, reason, detail) for name in item.controllers]
     names = _phase_problems(item) if isinstance(item, Task) else [item.name]
@@ -249,9 +256,16 @@ def run_experiment(
     command: Sequence[str],
     on_progress: Callable[[int, int, str], None],
 ) -> list[ResultRow]:
-    """Run what is not yet in `out`; return all rows, sorted. An interrupt keeps finished runs.
+    """Run the missing runs of an experiment and return all rows, sorted.
 
-    on_progress: called with (runs done, runs in all, a note on the last one).
+    Finished runs are kept after an interrupt.
+
+    Args:
+        experiment: problems, planners and seeds.
+        out: folder of the rows.
+        executor: of the runs.
+        command: words of the command line, for the provenance.
+        on_progress: called with runs done, all runs, and a note on the last run.
     """
     session = provenance(
         command,

@@ -36,13 +36,13 @@ CURVE_TIMES = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)  # [s]
 PARTS = ("all", "easy", "hard")
 
 
-def _said(how: str, row: ResultRow) -> bool:
-    """Whether the detail of a solved run begins with this text."""
-    return row.solved and (row.detail or "").startswith(how)
+def _detail_begins(text: str, row: ResultRow) -> bool:
+    """Return whether the detail of a solved run begins with a text."""
+    return row.solved and (row.detail or "").startswith(text)
 
 
 def split_metric(ratio: str, part: str) -> str:
-    """Name of a ratio's column on a part of the problems."""
+    """Return the name of a ratio's column on a part of the problems."""
     return f"{ratio}_{part}_of_{REFERENCE}"
 
 
@@ -84,7 +84,9 @@ GROWN = {  # only where rows say how trees grew
     ),
 }
 ROLLOUTS = {  # only where a planner joins states of rollouts
-    "rollouts_alone": Column("by rollouts alone [%]", "%", share_of(partial(_said, ROLLOUTS_ALONE)))
+    "rollouts_alone": Column(
+        "by rollouts alone [%]", "%", share_of(partial(_detail_begins, ROLLOUTS_ALONE))
+    )
 }
 PAPER_COST = {
     "paper_cost_median": Column("time at the paper's cost [s]", "s", median_of("paper_cost")),
@@ -180,12 +182,12 @@ SENSED_NOTES = (
 def place_table(
     rows: Iterable[ResultRow], published: Sequence[PublishedValue] = (), sensed: bool = False
 ) -> SuiteTable:
-    """The paper's Table I, effort, comparisons, time curve, fallbacks, failures and notes.
+    """Return the paper's Table I, effort, comparisons, time curve, fallbacks, failures and notes.
 
-    sensed: the scenes were scanned: map and truth come first.
+    sensed: the scenes were scanned; columns of map and true scene come first.
     """
     runs = table.suite_runs(rows, published)
-    by_rollouts = partial(_said, BY_ROLLOUTS)
+    by_rollouts = partial(_detail_begins, BY_ROLLOUTS)
     rolled = {name for name, own in runs.groups.items() if any(map(by_rollouts, own))}
     grown = any(row.n_extensions is not None for row in runs.rows)
     more = {
@@ -240,7 +242,7 @@ def place_table(
 
 
 def _first_lines(found: Sequence[Entry], columns: Mapping[str, str]) -> Lines:
-    """Headlines: estimates, and the work against the same search with uniform samples."""
+    """Return lines of estimates, and of the work over that of uniform samples."""
     ratio = split_metric("work_ratio", "all")
     lines = [["planner", *columns, f"work / {REFERENCE}"]]
     for item in found:
@@ -251,7 +253,7 @@ def _first_lines(found: Sequence[Entry], columns: Mapping[str, str]) -> Lines:
 
 
 def _paper_lines(found: Sequence[Entry], metric: str, ours: Mapping[str, str]) -> Lines:
-    """The paper's number of a metric; ours over all runs as medians and, as in the paper, means."""
+    """Return lines of the paper's number of a metric, and of our medians and means."""
     lines = [["planner", "paper", *ours]]
     for item in found:
         lines.append([item.title, item.paper_cell(metric), *map(item.cell, ours.values())])
@@ -259,7 +261,7 @@ def _paper_lines(found: Sequence[Entry], metric: str, ours: Mapping[str, str]) -
 
 
 def _split_lines(found: Sequence[Entry], runs: SuiteRuns) -> Lines:
-    """Ratios on all, easy and hard problems, for every planner except the reference."""
+    """Return ratios on all, easy and hard problems for every planner except the reference."""
     lines = [["planner", "runs", *(label for label, _ in RATIOS.values())]]
     for item in found:
         for part in PARTS if item.planner != REFERENCE else ():
@@ -269,7 +271,7 @@ def _split_lines(found: Sequence[Entry], runs: SuiteRuns) -> Lines:
 
 
 def _footnotes(runs: SuiteRuns) -> Iterator[str]:
-    """Footnotes to the rows."""
+    """Yield footnotes on the rows."""
     names = ", ".join(runs.solving) or "no planner"
     yield (
         f"Jointly solved: {len(runs.joint)} runs (problem and seed), each solved by all of {names}."

@@ -218,11 +218,12 @@ def report_html(
     report: Callable[[int, int], None] = lambda done, total: None,
     paths: Mapping[str, Mapping[str, str]] | None = None,
 ) -> str:
-    """One self-contained html file about results directories, see `evidence_of`.
+    """Return one self-contained html file about results directories.
 
     Args:
-        report: is called with how many of them are done.
-        paths: title and html of a path to turn, by the name of the directory that it is of.
+        found: results directories by name, see `evidence_of`.
+        report: is called with the numbers of directories done and of all.
+        paths: title and html of a path in 3-D, by the name of its directory.
     """
     claims = [item for item in judged_claims(found) if item.evidence]
     sections: list[dict[str, Any]] = []

@@ -43,7 +43,15 @@ class Quoted:
     def ratio(
         self, name: str, planner: str, value: str = "work", over: str = REFERENCE, kind: str = ""
     ) -> str:
-        """Geometric mean of the ratio of a value of `VALUES` to that of another planner."""
+        """Return the geometric mean of the ratio of a value to that of another planner.
+
+        Args:
+            name: of the results directory.
+            planner: whose value is divided.
+            value: of `VALUES`.
+            over: planner of the divisor.
+            kind: of problems; empty: all.
+        """
         own, other = self.rows(name, planner, kind), self.rows(name, over, kind)
         return estimate(mean_ratio(paired(own, other, VALUES[value])))
 

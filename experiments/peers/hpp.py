@@ -122,10 +122,17 @@ def _posed(problem: PlanningProblem) -> Any:
 def plan(
     problem: PlanningProblem, budget: Budget, seed: int, spacing: float = 0.025
 ) -> np.ndarray | None:
-    """A path (m, n) [rad] by `DiffusingPlanner` and `RandomShortcut`, read off every spacing [rad].
+    """Plan by `DiffusingPlanner` and `RandomShortcut`.
 
-    None where there is none in the budget's seconds. Straight motions between states 0.05 rad apart
-    moved one hand in the other by up to 0.4 mm, and the certificate allows 0.5.
+    Args:
+        problem: that is planned.
+        budget: seconds count.
+        seed: of C's random generator.
+        spacing: distance between states of the path [rad]; straight motions between states 0.05 rad
+            apart moved one hand in the other by up to 0.4 mm, and the certificate allows 0.5 mm.
+
+    Returns:
+        States (m, n) [rad] of the path; None if none is found within the budget.
     """
     began = time.perf_counter()
     posed, core = _posed(problem), _imported("pyhpp.core")
