@@ -48,9 +48,8 @@ from cvqmpt_lab.cli.problem_options import (
 )
 from cvqmpt_lab.cli.scan_command import MOTION, SCAN, arm_of, motion_given, motion_problem, scanned
 from cvqmpt_lab.planning.margins import Margin, solve_with_margin
-from cvqmpt_lab.planning.pipeline import Solution
 from cvqmpt_lab.planning.planners import PLANNERS, default_planner, planner_named
-from cvqmpt_lab.planning.solution_report import solution_data, solution_lines
+from cvqmpt_lab.planning.solution import Solution, solution_data
 from cvqmpt_lab.planning.warm_up import compile_kernels, warm_up
 from cvqmpt_lab.problem import PlanningProblem, with_projected_start
 from cvqmpt_lab.robot.load import robot_from_source
@@ -130,7 +129,7 @@ def _solved_problem(
     )
     if args.json:
         return solution, solution_data(solution, planner, why, problem) | {"margin": kept}
-    return solution, [*solution_lines(solution, planner, why), f"margin      {kept}"]
+    return solution, [*solution.report(planner, why), f"margin      {kept}"]
 
 
 def _solved_task(

@@ -29,7 +29,8 @@ from cvqmpt_lab.constraints.goals import Goals, goals_of
 from cvqmpt_lab.experiments.executors import Executor, Lost, dask_cluster, local_processes
 from cvqmpt_lab.experiments.experiment import Experiment, Run, externals_of, weights_of
 from cvqmpt_lab.external.door import external_planner
-from cvqmpt_lab.planning.pipeline import Solution, solve
+from cvqmpt_lab.planning.pipeline import solve
+from cvqmpt_lab.planning.solution import Solution
 from cvqmpt_lab.planning.warm_up import compile_kernels
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.provenance import provenance

@@ -65,13 +65,13 @@ def test_a_start_that_is_closer_lowers_the_margin_and_is_named(problem):
 def test_without_a_path_inside_it_is_planned_without(problem):
     # one iteration cannot find a path inside, nor one without: the second run is the plain one
     solution, text = solve_with_margin(problem, "birrt", Budget(iterations=2), 0, Margin())
-    assert text.startswith("none of 2 mm, 0.005 rad: no path inside by it")
+    assert text.startswith("none of 2 mm, 0.005 rad: no path with this margin")
     assert solution.problem.clearance == problem.clearance
 
 
 def test_no_margin_is_the_plain_solution(problem, solution):
     again, text = solve_with_margin(problem, "birrt", Budget(iterations=20_000), 0, NO_MARGIN)
-    assert text == "none asked for"
+    assert text == "none requested"
     assert np.array_equal(again.path.states, solution.path.states)
 
 

@@ -14,7 +14,7 @@ from cvqmpt_lab.base.processes import end_with_parent, one_thread
 from cvqmpt_lab.benchmarks.place_task import place_problem
 from cvqmpt_lab.certificate.certificate import certify
 from cvqmpt_lab.collision.exact import CollisionChecker
-from cvqmpt_lab.planning.pipeline import NEAR_GOALS, solve, solve_many, with_drawn_goals
+from cvqmpt_lab.planning.pipeline import NEAR_GOAL_COUNT, solve, solve_many, with_drawn_goals
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.scene.scene import Scene, SceneObject
@@ -115,7 +115,7 @@ def test_near_goals_are_tried_first_where_joints_turn_more_than_once():
     """Goals of a UR5 that were full turns away made paths longer."""
     robot = robot_from_source({"name": "ur5"})
     start = np.array([0.0, -1.5, 1.0, -1.0, -1.5, 0.0])
-    near = [start + 0.6 + 0.01 * k for k in range(NEAR_GOALS)]
+    near = [start + 0.6 + 0.01 * k for k in range(NEAR_GOAL_COUNT)]
     far = [start + [0.6 + 2 * np.pi * (-1) ** k * 0.9, 0, 0, 0, 0, 0.01 * k] for k in range(10)]
     problem = PlanningProblem("turns", robot, Scene("empty", ()), start, np.array([*far, *near]))
     for seed in range(5):

@@ -42,7 +42,7 @@ from cvqmpt_lab.constraints.region_constraint import RegionConstraint, stack_reg
 from cvqmpt_lab.constraints.regions import Regions
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, TaskSpaceRegionChain
 from cvqmpt_lab.robot.kinematics import link_poses
-from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.robot.robot import Robot, nearest_turn
 from cvqmpt_lab.scene.scene import Attachment, Scene
 
 MAX_GOALS = 20
@@ -342,8 +342,9 @@ def _no_configurations(T: np.ndarray, n: int) -> Poses:
 
 def _turned_near(configurations: np.ndarray, start: np.ndarray, robot: Robot) -> np.ndarray:
     """Move the hinges of configurations (k, n) by whole turns, as near to start as limits allow."""
-    whole = 2.0 * np.pi * np.round((configurations - start) / (2.0 * np.pi))
-    turned = configurations - np.where(robot.kinematics.prismatic, 0.0, whole)
+    turned = np.where(
+        robot.kinematics.prismatic, configurations, nearest_turn(configurations, start)
+    )
     return np.where((turned >= robot.lower) & (turned <= robot.upper), turned, configurations)
 
 

@@ -1,4 +1,4 @@
-"""Planning with a margin: inside of bounds, and away from obstacles, by what an arm may be off."""
+"""Planning with a margin for tracking error: to obstacles, and to the bounds of the constraint."""
 
 from dataclasses import replace
 from typing import Any, NamedTuple, Self
@@ -10,21 +10,22 @@ from cvqmpt_lab.certificate.certificate import deviation_tolerated
 from cvqmpt_lab.constraints.goals import Goals, goals_of
 from cvqmpt_lab.constraints.project import PROJECTION_TOLERANCE
 from cvqmpt_lab.constraints.report import displacements, excess
-from cvqmpt_lab.planning.pipeline import Solution, solve
+from cvqmpt_lab.planning.pipeline import solve
+from cvqmpt_lab.planning.solution import Solution
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.search.method import Method
 from cvqmpt_lab.search.result import Budget
 
 
 class Margin(NamedTuple):
-    """By how much the robot and its hand may be off."""
+    """Margin for tracking error of the robot and its hand."""
 
-    metres: float = 0.002  # from obstacles, and within bounds of position [m]
-    radians: float = 0.005  # within bounds of rotation and tilt [rad]
+    metres: float = 0.002  # distance to obstacles and to bounds of position [m]
+    radians: float = 0.005  # distance to bounds of rotation and tilt [rad]
 
     def check(self) -> Self:
-        """Itself; refuse a margin below 0, and one that is larger than 0.1 m or 0.2 rad."""
-        limits = ("margin", self.metres, 0.1, "m"), ("margin angle", self.radians, 0.2, "rad")
+        """Return this margin; refuse one below 0, above 0.1 m or above 0.2 rad."""
+        limits = (("margin", self.metres, 0.1, "m"), ("margin angle", self.radians, 0.2, "rad"))
         for name, value, most, unit in limits:
             if not 0.0 <= value <= most:
                 raise InvalidInputError(f"{name} {value}: give a number from 0 to {most} {unit}")
@@ -39,48 +40,48 @@ def with_margin(
 ) -> tuple[PlanningProblem, Margin, str]:
     """Tighten bounds by a margin, limited by the slack of start and goals.
 
-    Bounds of width 0 stay, such as those of a hand that holds a door.
+    Bounds of width 0 do not change, such as those of a hand that holds a door.
 
     Args:
         problem: the problem.
         goals: its goals (k, n) [rad or m].
-        margin: of tracking error.
+        margin: for tracking error.
 
     Returns:
         The tighter problem, the margin used, and the reason if it is smaller.
     """
-    why, rooms, slacks, checker = [], [], [], problem.collision_checker()
-    for what, states in (("start", problem.start[None]), ("best goal", goals)):
-        # distance from obstacles [m] and slack in bounds [rad, m] of the best state
+    reasons, clearances, slacks = [], [], []
+    checker = problem.collision_checker()
+    for name, states in (("start", problem.start[None]), ("best goal", goals)):
+        # distance to obstacles [m] and slack in bounds [rad, m] of the best state
         found = (checker.nearest_obstacle(q) for q in states)
         nearest = max(found, key=lambda it: it.distance)
-        room = max(nearest.distance - 1e-4, 0.0)  # 0.1 mm for rounding of the kernels
+        clearance = max(nearest.distance - 1e-4, 0.0)  # 0.1 mm for rounding errors of the kernels
         slack = _slack(problem, states)
-        rooms.append(room)
+        clearances.append(clearance)
         slacks.append(slack)
-        if room < margin.metres:
-            why.append(f"the {what} is {1e3 * room:.1f} mm from {nearest.pair}")
+        if clearance < margin.metres:
+            reasons.append(f"the {name} is {1e3 * clearance:.1f} mm from {nearest.pair}")
         if slack[0] < margin.radians or slack[1] < margin.metres:
-            why.append(f"the {what} is near a bound")
+            reasons.append(f"the {name} is near a bound")
     radians, moved = np.minimum(np.min(slacks, axis=0), (margin.radians, margin.metres)).tolist()
-    room = min(margin.metres, *rooms)
+    clearance = min(margin.metres, *clearances)
     inner = problem.changed(
-        clearance=max(problem.clearance, room),
+        clearance=max(problem.clearance, clearance),
         constraint=tuple(region.inset(moved, radians) for region in problem.constraint),
     )
-    return inner, Margin(min(room, moved), radians), "; ".join(why)
+    return inner, Margin(min(clearance, moved), radians), "; ".join(reasons)
 
 
 def _slack(problem: PlanningProblem, states: np.ndarray) -> tuple[float, float]:
-    """Slack [rad] and [m] in bounds of positive width of the best of states (k, n)."""
-    most = np.full((len(states), 7), np.inf)
+    """Return the largest slack [rad] and [m] of states (k, n) in bounds of positive width."""
+    slack = np.full((len(states), 7), np.inf)
     for region in problem.constraint:
         inside = -excess(region, displacements(problem.robot, region, states))
-        # what projection may leave
-        most = np.minimum(
-            most, np.where(region.wide, (inside - PROJECTION_TOLERANCE).clip(min=0.0), np.inf)
-        )
-    return float(most[:, 3:].min(axis=1).max()), float(most[:, :3].min(axis=1).max())
+        # projected states may be outside of bounds by the tolerance
+        inside = (inside - PROJECTION_TOLERANCE).clip(min=0.0)
+        slack = np.minimum(slack, np.where(region.wide, inside, np.inf))
+    return float(slack[:, 3:].min(axis=1).max()), float(slack[:, :3].min(axis=1).max())
 
 
 def solve_with_margin(
@@ -91,17 +92,25 @@ def solve_with_margin(
     margin: Margin,
     **options: Any,
 ) -> tuple[Solution, str]:
-    """Solve inside by a margin, and with half of the budget without where that finds no path.
+    """Solve a problem with a margin; if there is no path, solve it without.
 
-    Args: as `pipeline.solve`.
+    Each of the two runs has half of the budget.
+
+    Args:
+        problem: the problem.
+        method: a planner or its name.
+        budget: of both runs.
+        seed: of random numbers.
+        margin: for tracking error.
+        **options: more arguments of `solve`.
 
     Returns:
-        The solution, whose certificate says what is tolerated by the problem that was asked; which
-        margin it has, and why not all of it.
+        The solution, whose certificate states the tolerated deviation with respect to the given
+        problem; and the margin used, with the reason if it is smaller, in words.
     """
     margin.check()
     if margin == NO_MARGIN:
-        return solve(problem, method, budget, seed, **options), "none asked for"
+        return solve(problem, method, budget, seed, **options), "none requested"
     goals: Goals = options.pop("goals", None) or goals_of(problem)
     if len(goals.configurations) == 0:
         return solve(problem, method, budget, seed, goals=goals, **options), "none: no goal"
@@ -113,20 +122,22 @@ def solve_with_margin(
         why = "; ".join(filter(None, (why, str(error))))
     if found is None or not found.solved:
         if found is not None:
-            why = "; ".join(filter(None, (why, f"no path inside by it: {found.plan.status}")))
+            why = "; ".join(filter(None, (why, f"no path with this margin: {found.plan.status}")))
         plain = solve(problem, method, budget.share(0.5), seed, goals=goals, **options)
         return plain, f"none of {_text(margin)}: {why}"
     assert found.certificate is not None and found.path is not None
-    rooms = (found.certificate.obstacle_clearance, found.certificate.self_clearance)
-    tolerated = deviation_tolerated(problem, found.path.states, rooms)
+    clearances = (found.certificate.obstacle_clearance, found.certificate.self_clearance)
+    tolerated = deviation_tolerated(problem, found.path.states, clearances)
     found = replace(
         found,
         problem=problem,
         certificate=replace(found.certificate, tolerated=tolerated),
         goal_seconds=goals.seconds,
     )
-    return found, f"{_text(used)}{why and f' of {_text(margin)}: {why}'}"
+    text = f"{_text(used)} of {_text(margin)}: {why}" if why else _text(used)
+    return found, text
 
 
 def _text(margin: Margin) -> str:
+    """Return a margin in words."""
     return f"{1e3 * margin.metres:.3g} mm, {margin.radians:.3g} rad"

@@ -1,7 +1,7 @@
-"""Planners by name: those of the paper's tables, ours, and controls.
+"""Planners by name: those of the paper's tables, more planners, and controls.
 
-A control differs from a planner in one part, to measure what this part contributes. Modules in
-`PLANNER_MODULES` register planners of their own: this file does not know learned samplers.
+A control differs from a planner in one part, to measure the contribution of this part. Modules in
+`PLANNER_MODULES` register more planners: this file does not depend on learned samplers.
 """
 
 import math
@@ -27,8 +27,9 @@ from cvqmpt_lab.search.portfolio import roadmap_planner, spread_nodes
 PLANNER_MODULES = tuple(
     import_module(name) for name in ("cvqmpt_lab.vqmpt.planners", "cvqmpt_lab.benchmarks.ablations")
 )
-"""Modules that add planners: functions `planners()`, `controls()` and `unshipped_planners()` return
-lists of methods, where a module has them; `planner_of(name)` makes one of a composed name."""
+"""Each may have functions `planners()`, `controls()` and `unshipped_planners()`, which
+return lists of methods (the last ones need weights that are not shipped). Its function
+`planner_of(name)` makes a planner from a composed name, or returns None."""
 
 
 def _ompl(name: str, manifold: str, kpiece: bool = False) -> Method:
@@ -45,14 +46,14 @@ def _by_name(methods: Iterable[Method]) -> dict[str, Method]:
 
 
 def _registered(function: str) -> list[Method]:
-    """Return the methods of all `PLANNER_MODULES` that have a function of this name."""
-    return [method for source in PLANNER_MODULES for method in getattr(source, function, list)()]
+    """Return the methods of a function's name in all `PLANNER_MODULES`."""
+    return [method for module in PLANNER_MODULES for method in getattr(module, function, list)()]
 
 
 PLANNERS = _by_name(
     (
         Method.simple("birrt"),
-        # Algorithm 3 without a limit of extensions, as it is printed; `birrt` has the best tuning
+        # Algorithm 3 as in the paper, without a limit of extensions; `birrt` has the tuned limit
         Method.simple("birrt-printed", search=BiRRT(reach=math.inf)),
         replace(Method.simple("cells", search=CellSearch()), grows=False),  # for narrow passages
         _ompl("ompl-projected", "projected"),
@@ -66,7 +67,7 @@ PLANNERS = _by_name(
 CONTROLS = _by_name(_registered("controls"))
 UNSHIPPED = _by_name(_registered("unshipped_planners"))
 
-# names that other libraries have for planners, and ours of that kind
+# names of planners in other libraries, and the similar planners here
 _NAMES_ELSEWHERE = {
     **dict.fromkeys(
         ("rrtconnect", "rrt", "cbirrt", "cbirrt2"),
@@ -78,12 +79,12 @@ _NAMES_ELSEWHERE = {
 
 
 def planner_named(name: str, model: str | None = None, reach: float | None = None) -> Method:
-    """The planner or control of that name, also an external one, see `cvqmpt_lab.external`.
+    """Return the planner or control of a name, also an external one, see `cvqmpt_lab.external`.
 
     Args:
-        name: of the planner.
-        model: name or folder of its weights; None for the shipped ones.
-        reach: longest extension towards a draw [rad], inf for no limit; None for the planner's own.
+        name: name of the planner.
+        model: name or folder of its weights; None: the shipped ones.
+        reach: longest extension towards a sample [rad]; inf: no limit; None: the planner's default.
     """
     plain = name.lower().replace("-", "").replace("_", "")
     if plain in _NAMES_ELSEWHERE and name not in PLANNERS:
@@ -104,16 +105,16 @@ def planner_named(name: str, model: str | None = None, reach: float | None = Non
 
 
 def _composed(name: str) -> Method | None:
-    """The planner that one of `PLANNER_MODULES` makes of a name, or None."""
-    for source in PLANNER_MODULES:
-        found = source.planner_of(name)
+    """Return the planner that one of `PLANNER_MODULES` makes from a composed name, or None."""
+    for module in PLANNER_MODULES:
+        found = module.planner_of(name)
         if found is not None:
             return found
     return None
 
 
 def default_planner(problem: PlanningProblem) -> tuple[str, str]:
-    """The planner for a problem if the user names none, and the reason."""
+    """Return the default planner for a problem, and the reason for the choice."""
     if problem.closed_chain:
         return "roadmap", "trees and cells in turns; no roadmap is made of closed chains"
     if any(isinstance(region, TaskSpaceRegionChain) for region in problem.constraint):
@@ -125,7 +126,7 @@ def default_planner(problem: PlanningProblem) -> tuple[str, str]:
 
 
 def require_fit(method: Method, problem: PlanningProblem) -> None:
-    """Raise InvalidInputError if a planner cannot serve a problem: why, and which planners can."""
+    """Refuse a planner that cannot solve a problem; the error names planners that can."""
     reason = method.incompatibility(problem)
     if reason:
         others = [

@@ -1,4 +1,4 @@
-"""Work that a process does once before any clock starts: weights, kernels, the robot's arrays."""
+"""Work that a process does once, before times are measured: weights, kernels, robot arrays."""
 
 import time
 from collections.abc import Callable
@@ -22,13 +22,17 @@ from cvqmpt_lab.search.space import ConstrainedSpace, direct_motion
 
 
 def compile_kernels(announce: Callable[[str], None]) -> float:
-    """Compile every kernel, in two processes the first time, and call those that planners call.
+    """Compile every kernel, in two processes, unless that was done before; call planners' kernels.
 
-    announce: called before that takes about a minute. Returns the seconds that it took.
+    Args:
+        announce: called with a message before a compilation of about a minute.
+
+    Returns:
+        Wall time [s].
     """
     began = time.perf_counter()
     if not compiled_before(everything=True):
-        from concurrent.futures import ProcessPoolExecutor  # `plan` does without
+        from concurrent.futures import ProcessPoolExecutor  # not needed by every `plan`
         from multiprocessing import get_context
 
         announce("compiling kernels, about a minute, once per machine and version ...")
@@ -38,7 +42,7 @@ def compile_kernels(announce: Callable[[str], None]) -> float:
             others.result()
         compile_all()
     robot = panda()
-    # with an upright hand [rad]
+    # configuration with an upright hand [rad]
     start = np.array(
         [0.99468491, 0.49509914, -1.24378071, -2.26869377, 1.93524067, 1.26551103, -1.58268202]
     )
@@ -56,7 +60,7 @@ def compile_kernels(announce: Callable[[str], None]) -> float:
     problem = problem.changed(goals=start[None])
     for name in ("roadmap", "opt-cvq-mpt"):
         _through_stages(problem, planner_named(name), "compiled")
-    space = ConstrainedSpace.of(problem)  # what planners in Python ask state by state
+    space = ConstrainedSpace.of(problem)  # functions that planners in Python call for one state
     space.project(start)
     space.valid(start)
     space.residual_and_jacobian(start)
@@ -70,21 +74,22 @@ def warm_up(
     backend: str,
     announce: Callable[[str], None] | None = None,
 ) -> None:
-    """Take a robot through every stage of a planner, in an empty scene with a random cloud.
+    """Run every stage of a planner once, in an empty scene with a random cloud.
 
     Nothing of the problem itself is computed or cached: solving it afterwards takes as long as in a
     process that has planned before. The certificate, which is not timed, is left out.
 
     Args:
-        problem: gives the robot, its load and the constraint.
+        problem: states the robot, its load and the constraint.
         method: the planner.
-        backend: of state checks.
-        announce: called before anything is compiled, which takes a while.
+        backend: of state checks, "compiled" or "exact".
+        announce: called with a message before a compilation.
 
-    InvalidInputError: the planner cannot serve the problem.
+    Raises:
+        InvalidInputError: the planner cannot serve the problem.
     """
     require_fit(method, problem)
-    # an external planner may use our search; whatever else it prepares is timed
+    # an external planner may use `birrt`; the time of its other preparations is measured
     if method.external:
         method = planner_named("birrt")
     if announce is not None and not compiled_before():
@@ -98,7 +103,8 @@ def _through_stages(problem: PlanningProblem, method: Method, backend: str) -> N
     """Predict and update with a random cloud, search and shorten, for a problem with goals."""
     rng = np.random.default_rng(0)
     stages = method.stages(problem)
-    space, few = ConstrainedSpace.of(problem, backend), Budget(iterations=20)
+    space = ConstrainedSpace.of(problem, backend)
+    few = Budget(iterations=20)
     query = Query.of(space, problem.start, problem.goals, few, rng)
     proposal = stages.predict(query, Observation(rng.uniform(-1.0, 1.0, (2048, 3))))
     if stages.update is not None:
@@ -109,5 +115,5 @@ def _through_stages(problem: PlanningProblem, method: Method, backend: str) -> N
     still = JointPath(np.array([problem.start, problem.start]))
     simplify(space, still, rng, attempts=16)
     trees = plant(problem.start, problem.goals, capacity=8)
-    # else called only after a failed fine check
+    # a search calls it only after a failed fine check
     remove_child_of_segment(trees, np.zeros((2, 2), dtype=np.int64), 0)

@@ -35,7 +35,12 @@ PAPER_PHASES = ("reach-handle", "reach-can", "carry")
 
 
 class FailReason(StrEnum):
-    """Reason why a run has no certified path, or why its execution is not as planned."""
+    """Reason why a run has no certified path, or why its execution is not as planned.
+
+    The first group has the values of `PlanStatus` and NO_START for problems that cannot be made.
+    The second group is ``uncertified_`` and a value of `FaultKind`. `experiments.run` derives both
+    from a solution. The last group is about tasks, executions and worker processes.
+    """
 
     TIMEOUT = "timeout"
     ITERATION_LIMIT = "iteration_limit"
@@ -47,6 +52,7 @@ class FailReason(StrEnum):
     MALFORMED_PATH = "malformed_path"
     OVERTIME = "overtime"
     NO_PATH = "no_path"
+
     UNCERTIFIED_SHAPE = "uncertified_shape"
     UNCERTIFIED_START = "uncertified_start"
     UNCERTIFIED_GOAL = "uncertified_goal"
@@ -55,6 +61,7 @@ class FailReason(StrEnum):
     UNCERTIFIED_MANIFOLD = "uncertified_manifold"
     UNCERTIFIED_COLLISION = "uncertified_collision"
     UNCERTIFIED_NOT_PROVEN = "uncertified_not_proven"
+
     NOT_TIMED = "not_timed"
     NOT_REACHED = "not_reached"
     NOT_EXECUTED = "not_executed"

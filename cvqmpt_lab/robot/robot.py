@@ -18,6 +18,12 @@ from cvqmpt_lab.base.values import frozen
 from cvqmpt_lab.robot.kinematics import Kinematics
 
 
+def nearest_turn(angles: np.ndarray, reference: np.ndarray | float) -> np.ndarray:
+    """Return angles moved by whole turns to within half a turn of a reference [rad]."""
+    turn = 2.0 * np.pi
+    return angles + turn * np.round((reference - angles) / turn)
+
+
 class HeldJoint(NamedTuple):
     """A joint that planning does not move."""
 

@@ -1,12 +1,12 @@
-"""Shorter paths in time left over (`improve`), and near-shortest paths as labels of training data.
+"""Shorter paths after a first one (`improve`), and near-shortest paths as labels of training data.
 
 A path of length c from q_start to q_goal passes through configurations of the informed set
 (Gammell, Srinivasa and Barfoot 2014), a prolate hyperspheroid with both as foci:
 
     { q : |q - q_start| + |q - q_goal| < c }
 
-`restarted` searches again with samples from it. `informed_roadmap_path` searches small roadmaps of
-it. What they find is shortened.
+`restarted` repeats the search with samples from this set. `informed_roadmap_path` searches small
+roadmaps of it. The paths that they find are shortened.
 """
 
 from collections.abc import Callable
@@ -19,8 +19,14 @@ from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.base.jit import entry
 from cvqmpt_lab.search.birrt import BiRRT
 from cvqmpt_lab.search.edge_costs import EdgeCosts
-from cvqmpt_lab.search.lazy_roadmap import FREE
-from cvqmpt_lab.search.motion import Space, distance, posed_state_valid, project_state
+from cvqmpt_lab.search.lazy_roadmap import CHECKED_FREE
+from cvqmpt_lab.search.motion import (
+    SAME_STATE_RAD,
+    Space,
+    distance,
+    posed_state_valid,
+    project_state,
+)
 from cvqmpt_lab.search.planner_interface import (
     PathSource,
     Query,
@@ -37,8 +43,6 @@ from cvqmpt_lab.search.roadmap import (
 from cvqmpt_lab.search.shortcut import simplify
 from cvqmpt_lab.search.space import ConstrainedSpace
 
-LEAST = 1e-9  # [rad or m] between start and goal, so that there is a direction
-
 
 @entry
 def keep_informed(
@@ -48,9 +52,19 @@ def keep_informed(
     goals: Annotated[np.ndarray, "goals n"],
     longest: float,
 ):
-    """Project draws and move those in the informed set that are free to the front, in order.
+    """Project draws, and move the free ones in the informed set to the front, in order.
 
-    The set is { q : |q - start| + min_g |q - g| < longest [rad] }. Returns their number.
+    The set is { q : |q - start| + min_g |q - g| < longest }.
+
+    Args:
+        space: the planning space.
+        draws: configurations [rad or m], changed in place.
+        start: (n,) [rad or m].
+        goals: (k, n) [rad or m].
+        longest: length of the longest path [rad].
+
+    Returns:
+        Number of draws at the front.
     """
     kept = 0
     for i in range(draws.shape[0]):
@@ -70,13 +84,13 @@ def keep_informed(
 
 @dataclass(frozen=True, eq=False)
 class Improvement:
-    """The outcome of `improve`."""
+    """Result of `improve`."""
 
     budget: Budget  # seconds or iterations that were allowed
-    seconds: float  # used, wall time [s]
-    iterations: int  # used
-    searches: int  # for other paths
-    # seconds since the first path and length [rad], of the first path and each better one
+    seconds: float  # wall time used [s]
+    iterations: int  # iterations used
+    searches: int  # number of searches for other paths
+    # of the first path and each better one: seconds after the first path, and length [rad]
     lengths: tuple[tuple[float, float], ...]
 
     @property
@@ -87,11 +101,11 @@ class Improvement:
 
 
 def check_units(budget: Budget, optimize: Budget) -> None:
-    """InvalidInputError for seconds to improve a path in a run that is counted in iterations."""
+    """Refuse an optimization budget in seconds for a run whose budget is in iterations."""
     if budget.seconds is None and optimize.seconds is not None:
         raise InvalidInputError(
             f"optimize: {optimize.seconds:g} s in a run of {budget.iterations} iterations, which "
-            "knows no clock and so repeats; give optimize in iterations, or the run a budget in "
+            "must not depend on the clock; give optimize in iterations, or the run a budget in "
             "seconds"
         )
 
@@ -102,17 +116,17 @@ def improve(
     """Find other paths and shorten them within a budget; the best is never longer than the first.
 
     Args:
-        query: start, goals, space, random numbers, and a budget for this alone.
-        source: of other paths.
+        query: start, goals, space, random numbers, and the budget of this optimization.
+        source: finds other paths.
         first: a path on the manifold, free and shortened.
-        gain: a path is shortened again while that takes off more than this share of its length.
+        gain: a path is shortened again while this reduces its length by more than this share.
 
     Returns:
-        The best path, and what was done.
+        The best path, and a record of the optimization.
     """
     deadline = query.deadline
     straight = np.linalg.norm(query.goals - query.start, axis=1)
-    nearest = max(float(straight.min()), LEAST)
+    nearest = max(float(straight.min()), SAME_STATE_RAD)
     best, lengths, searches, shortening = first, [(0.0, first.length)], 0, True
     while deadline.spent() is None:
         found: JointPath | None = best
@@ -121,7 +135,7 @@ def improve(
                 break  # the path is straight
             found = source(query, best, searches)
             searches += 1
-        deadline.count()  # so that a round without iterations ends, too
+        deadline.count()  # a round without iterations must use up the budget, too
         if found is None:
             continue
         found = simplify(
@@ -143,20 +157,27 @@ def restarted(
     best: JointPath,
     number: int,
 ) -> JointPath | None:
-    """A path of another search by the same method; see `PathSource`.
+    """Return a path of another search by the same method; see `PathSource`.
 
-    Every other one draws near straight lines to the goals, the others from the first search's
-    distribution, informed samples first.
+    Searches with even numbers draw from the first search's distribution, informed samples first;
+    the others draw from informed sets.
+
+    Args:
+        method: searches.
+        distribution: of the first search.
+        query: start, goals and space.
+        best: the shortest path so far.
+        number: number of earlier calls.
     """
     start, rest = query.start, query.deadline.rest()
     if number % 2 == 0:
         goals = nearer_goals(query, best.length)
         samples: SamplingDistribution = InformedFirst(distribution, start, goals, best.length)
-        most = 200  # iterations
+        most = 200  # largest number of iterations
     else:
         stretches = (1.1, 1.3, 1.6, 2.0, 2.6, np.inf)
         goals, samples = informed_samples(query, best.length, stretches[number // 2 % 6])
-        most = 60  # iterations
+        most = 60
     bounded = replace(rest, iterations=min(most, rest.iterations or most))
     return method.search(query.space, start, goals, samples, bounded, query.rng).path
 
@@ -167,16 +188,21 @@ def informed_roadmap_path(
     best: JointPath,
     number: int,
 ) -> JointPath | None:
-    """A path through a small roadmap of draws from the informed set; see `PathSource`.
+    """Return a path through a small roadmap of draws from the informed set; see `PathSource`.
 
-    Edges are checked lazily. A raw path through random nodes is longer than the same path
-    shortened: raw paths up to twice as long as the best one are accepted. Numbers were chosen on
-    tuning problems.
+    Edges are checked lazily. Paths through random nodes become shorter when they are shortened, so
+    paths up to twice as long as the best one are accepted. Numbers were chosen on tuning problems.
+
+    Args:
+        edge_costs: makes the edge costs in a space.
+        query: start, goals and space.
+        best: the shortest path so far.
+        number: number of earlier calls.
     """
     space, start = query.space, query.start
     stretch = (1.6, 2.0, 1.3, 2.6, np.inf)[number % 5]
     goals, samples = informed_samples(query, best.length, stretch)
-    draws = samples.sample(query.rng, 100)  # half of them are free in the kitchen
+    draws = samples.sample(query.rng, 100)  # in the kitchen, half of them are free
     nodes = draws[: keep_informed.unchecked(space.arrays, draws, start, goals, best.length)]
     space.reraise()
     if len(nodes) < 2:
@@ -186,46 +212,50 @@ def informed_roadmap_path(
         costs = costs._replace(weight=1.0)
     roadmap = Roadmap.of(nodes, min(20, len(nodes) - 1))
     settings = RoadmapSearchSettings(penalty=0.0, searches=20, greed=1.5)
-    search = RoadmapQuery(space, roadmap, start, goals, settings, costs, longest, FREE)
+    search = RoadmapQuery(space, roadmap, start, goals, settings, costs, longest, CHECKED_FREE)
     found = search.next_path(query.deadline)
     return found if found is not None and found.length < longest else None
 
 
 def nearer_goals(query: Query, length: float) -> np.ndarray:
-    """Goals (k, n) whose straight line from the start is shorter than `length` [rad]."""
+    """Return the goals (k, n) whose straight line from the start is shorter than `length` [rad]."""
     straight = np.linalg.norm(query.goals - query.start, axis=1)
-    return query.goals[np.maximum(straight, LEAST) < length]
+    return query.goals[np.maximum(straight, SAME_STATE_RAD) < length]
 
 
 def informed_samples(
     query: Query, length: float, stretch: float
 ) -> tuple[np.ndarray, "InformedSamples"]:
-    """The informed sets of paths shorter than `length` [rad] to the goals, and these goals (k, n).
+    """Return goals (k, n) and samples from the informed sets of paths to them.
 
-    stretch: upper bound on path length / straight length, of several that are tried in turn. Goals
-        whose set it does not reduce are left out, unless all are.
+    Args:
+        query: start, goals and space.
+        length: upper bound of path lengths [rad].
+        stretch: upper bound of path length / straight length. If it is the smaller bound for some
+            goals, the other goals are left out.
     """
     start, goals, robot = query.start, nearer_goals(query, length), query.space.robot
-    reach = np.minimum(stretch * np.maximum(np.linalg.norm(goals - start, axis=1), LEAST), length)
-    short = reach < length
+    straight = np.maximum(np.linalg.norm(goals - start, axis=1), SAME_STATE_RAD)
+    longest = np.minimum(stretch * straight, length)
+    short = longest < length
     if short.any():
-        goals, reach = goals[short], reach[short]
-    return goals, InformedSamples(start, goals, reach, robot.lower, robot.upper)
+        goals, longest = goals[short], longest[short]
+    return goals, InformedSamples(start, goals, longest, robot.lower, robot.upper)
 
 
 @dataclass(frozen=True, eq=False)
 class InformedSamples:
-    """Informed sampling: uniform in a prolate hyperspheroid, clipped to the limits.
+    """Informed sampling: uniform in a prolate hyperspheroid, clipped to the joint limits.
 
-    Foci are the start and a goal, drawn at random. With c_min their distance, c the reach and e the
-    unit vector between them, a point x of the unit ball becomes
+    Its foci are the start and a random goal. With their distance c_min, the length c of the longest
+    path and the unit vector e between the foci, a point x of the unit ball becomes
 
         q = (q_start + q_goal) / 2 + b x + (c / 2 - b) (x . e) e,   b = sqrt(c^2 - c_min^2) / 2.
     """
 
     start: np.ndarray  # (n,)
     goals: np.ndarray  # (k, n)
-    reach: np.ndarray  # (k,) c, the length of the longest path to each goal [rad]
+    longest: np.ndarray  # (k,) c, length of the longest path to each goal [rad]
     lower: np.ndarray  # (n,)
     upper: np.ndarray  # (n,)
     name: str = "informed"
@@ -238,7 +268,7 @@ class InformedSamples:
         straight = np.sqrt((along**2).sum(axis=1, keepdims=True))
         ball = rng.normal(size=(count, n))
         ball *= rng.random((count, 1)) ** (1.0 / n) / np.sqrt((ball**2).sum(axis=1, keepdims=True))
-        length, axis = self.reach[to, None], along / np.maximum(straight, LEAST)
+        length, axis = self.longest[to, None], along / np.maximum(straight, SAME_STATE_RAD)
         across = 0.5 * np.sqrt(np.maximum(length**2 - straight**2, 0.0))
         onwards = (0.5 * length - across) * (ball * axis).sum(axis=1, keepdims=True)
         middle = self.start + 0.5 * along
@@ -252,12 +282,12 @@ class InformedFirst:
     base: SamplingDistribution
     start: np.ndarray  # (n,) [rad or m]
     goals: np.ndarray  # (k, n) [rad or m]
-    length: float  # of the best path known [rad]
-    crowd: int = 4  # samples drawn for one that is used
+    length: float  # of the best path so far [rad]
+    crowd: int = 4  # number of draws for each sample
 
     @property
     def name(self) -> str:
-        """That of the distribution."""
+        """Name of the other distribution, for result rows."""
         return self.base.name
 
     def sample(self, rng: np.random.Generator, count: int) -> np.ndarray:
@@ -269,26 +299,26 @@ class InformedFirst:
 
 
 def unconstrained_path(query: Query) -> tuple[JointPath | None, PlanResult]:
-    """A shortened path of a query without its constraint, or None; and the search for it."""
+    """Return a shortened path of a query without its constraint, or None; and the search result."""
     return short_path(query.space.unconstrained(), query, query.deadline.budget)
 
 
 def short_path(
     space: ConstrainedSpace, query: Query, budget: Budget
 ) -> tuple[JointPath | None, PlanResult]:
-    """A shortened path from a query's start to a goal, or None; and the search for it."""
+    """Return a shortened path from a query's start to a goal, or None; and the search result."""
     found = BiRRT().search(space, query.start, query.goals, query.uniform, budget, query.rng)
     return None if found.path is None else simplify(space, found.path, query.rng).path, found
 
 
 @dataclass(frozen=True)
 class NearShortestSettings:
-    """How hard to try."""
+    """Limits of the work of `near_shortest`."""
 
-    restarts: int = 12  # searches after the first path
-    first: int = 1500  # iterations that the first search may take; it is tried twice
-    later: int = 200  # iterations that each restart may take
-    finish: int = 512  # attempts to shorten the best path in the end
+    restarts: int = 12  # number of searches after the first path
+    first: int = 1500  # iterations of the first search, which is made up to twice
+    later: int = 200  # iterations of each restart
+    finish: int = 512  # number of shortcuts that are tried on the best path at the end
 
 
 def near_shortest(
@@ -298,7 +328,15 @@ def near_shortest(
     rng: np.random.Generator,
     settings: NearShortestSettings | None = None,
 ) -> JointPath | None:
-    """The shortest free path found on the manifold from start to goal (n,), or None."""
+    """Return the shortest free path on the manifold that is found from start to goal, or None.
+
+    Args:
+        space: the planning space.
+        start: (n,) [rad or m].
+        goal: (n,) [rad or m].
+        rng: random number generator.
+        settings: limits of the work; None: the defaults.
+    """
     settings = settings or NearShortestSettings()
     trees, lower, upper = BiRRT(), space.robot.lower, space.robot.upper
     best: JointPath | None = None

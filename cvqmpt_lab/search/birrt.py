@@ -9,10 +9,10 @@
         Swap(T_a, T_b)
 
 Samples come from any distribution; with the uniform one this is CBiRRT. A draw is projected
-(F(q) = 0, paper, Algorithm 1) before the trees extend towards it, as the paper does ("Generating
-samples"). One that cannot be projected is drawn again. Every state of an extension is projected and
-checked, too. A path found is checked finely; a motion that hits an obstacle between its states is
-cut out of its tree, and the search goes on.
+(F(q) = 0, paper, Algorithm 1) before the trees extend towards it, as in the paper ("Generating
+samples"); if the projection fails, another draw is made. Every state of an extension is projected
+and checked as well. A path between both trees is then checked finely. If a motion of it collides
+between its states, the motion is removed from its tree and the search continues.
 """
 
 import time
@@ -24,15 +24,16 @@ import numpy as np
 from cvqmpt_lab.base.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.base.jit import entry, kernel
 from cvqmpt_lab.search.motion import (
-    DEVIATION,
     DRAW_NEWTON_ITERATIONS,
     DRAW_PROJECTIONS,
     EXTENSIONS,
     ITERATIONS,
+    MAX_LENGTH_RATIO,
     NEWTON_ITERATIONS,
     PROJECTIONS,
-    REACHED,
-    STOPPED,
+    SAME_STATE_RAD,
+    TARGET_REACHED,
+    TRAPPED,
     Space,
     distance,
     posed_state_valid,
@@ -51,11 +52,11 @@ from cvqmpt_lab.search.result import Budget, JointPath, PlanResult, Tree
 from cvqmpt_lab.search.space import ConstrainedSpace
 
 GROWING, CONNECTED, FULL = range(3)
-RAW, PROJECTED, FREE = range(3)
-DRAWS = {"raw": RAW, "projected": PROJECTED, "free": FREE}
-"""What is done with a draw before the trees extend towards it: nothing; it is projected (paper); it
-is projected, and drawn again if it collides."""
-REMOVED = 1e6  # [rad] where a removed node is put, so that it is never nearest
+RAW_DRAW, PROJECTED_DRAW, FREE_DRAW = range(3)
+DRAW_MODES = {"raw": RAW_DRAW, "projected": PROJECTED_DRAW, "free": FREE_DRAW}
+"""How a draw becomes a sample. raw: unchanged. projected: projected onto the manifold, as in the
+paper. free: projected; a draw in collision is not used."""
+REMOVED_NODE_RAD = 1e6  # first coordinate of a removed node, so that it is never the nearest one
 
 
 class Trees(NamedTuple):
@@ -63,14 +64,17 @@ class Trees(NamedTuple):
 
     nodes: Annotated[np.ndarray, "2 capacity n"]  # configurations [rad or m]
     parent: Annotated[np.ndarray, "int64 2 capacity"]  # -1 for roots
-    size: Annotated[np.ndarray, "int64 2"]  # nodes in each
-    meeting: Annotated[np.ndarray, "int64 2"]  # the nodes that met when CONNECTED
-    turn: Annotated[np.ndarray, "int64 1"]  # which tree extends first
-    nearest: NearestIndex  # for nearest nodes
+    size: Annotated[np.ndarray, "int64 2"]  # number of nodes in each tree
+    meeting: Annotated[np.ndarray, "int64 2"]  # one node of each tree, equal, when CONNECTED
+    turn: Annotated[np.ndarray, "int64 1"]  # row of the tree that extends next
+    nearest: NearestIndex  # for searches of nearest nodes
 
 
 def plant(start: np.ndarray, goals: np.ndarray, capacity: int) -> Trees:
-    """Trees with a start (n,) and goals (k, n) as roots, of `capacity` nodes each, at least 4 k."""
+    """Return trees with a start (n,) and goals (k, n) as roots.
+
+    Each has space for `capacity` nodes, but at least for 4 k.
+    """
     capacity = max(capacity, 4 * len(goals))
     trees = Trees(
         nodes=np.empty((2, capacity, len(start))),
@@ -86,7 +90,7 @@ def plant(start: np.ndarray, goals: np.ndarray, capacity: int) -> Trees:
 
 
 def enlarged_trees(trees: Trees) -> Trees:
-    """The same trees with room for twice as many nodes."""
+    """Return the same trees with space for twice as many nodes."""
     nodes = np.concatenate([trees.nodes, np.empty_like(trees.nodes)], axis=1)
     parent = np.concatenate([trees.parent, np.full_like(trees.parent, -1)], axis=1)
     nearest = enlarged_index(trees.nearest, nodes.shape[1])
@@ -95,34 +99,54 @@ def enlarged_trees(trees: Trees) -> Trees:
 
 @kernel(inline="source")
 def extend(space, nodes, parent, size, which, origin, target, reach):
-    """ConstrainedExtend: extend from node `origin` towards target (n,) by at most `reach` [rad].
+    """ConstrainedExtend: extend one tree towards a target; every state becomes a node.
 
-    Adds every state. Returns the index of the last node, and whether the target was reached.
+    Args:
+        space: the planning space.
+        nodes: of this tree (capacity, n) [rad or m].
+        parent: of this tree (capacity,).
+        size: number of nodes of both trees.
+        which: row of this tree.
+        origin: node to extend from.
+        target: (n,) [rad or m].
+        reach: largest length of the extension [rad].
+
+    Returns:
+        The last node, and whether the target was reached.
     """
     start = distance(nodes[origin], target)
-    if start < 1e-9:
+    if start < SAME_STATE_RAD:
         return origin, True
-    longest = min(DEVIATION * start, reach)  # that is left of the extension
+    longest = min(MAX_LENGTH_RATIO * start, reach)  # remaining length of the extension
     node = origin
     while True:
         new = size[which]
         outcome = step_towards(space, nodes[node], target, longest, nodes[new])
-        if outcome == STOPPED:
+        if outcome == TRAPPED:
             return node, False
         parent[new] = node
         size[which] = new + 1
         longest -= distance(nodes[node], nodes[new])
         node = new
-        if outcome == REACHED:
+        if outcome == TARGET_REACHED:
             return node, True
         if new + 2 >= nodes.shape[0]:
             return node, False
 
 
 @kernel(inline="source")
-def usable(space, q, draws):
-    """Make a draw q (n,) a sample, in place, see DRAWS; False: it must be drawn again."""
-    if draws == RAW:
+def make_sample(space, q, draws):
+    """Turn a draw q (n,) into a sample, in place.
+
+    Args:
+        space: the planning space.
+        q: draw [rad or m].
+        draws: a value of DRAW_MODES.
+
+    Returns:
+        False if the draw cannot be used.
+    """
+    if draws == RAW_DRAW:
         return True
     counters = space.counters
     projections, steps = counters[PROJECTIONS], counters[NEWTON_ITERATIONS]
@@ -131,7 +155,7 @@ def usable(space, q, draws):
     counters[DRAW_NEWTON_ITERATIONS] += counters[NEWTON_ITERATIONS] - steps
     if not projected:
         return False
-    return draws == PROJECTED or posed_state_valid(space, q, 0.0)
+    return draws == PROJECTED_DRAW or posed_state_valid(space, q, 0.0)
 
 
 @entry
@@ -143,19 +167,19 @@ def grow(
     reach: float,
     draws: int,
 ):
-    """Grow both trees towards samples[first:] (m, n) until they meet.
+    """Grow both trees towards samples[first:] until they meet.
 
     Args:
-        space: the planning space; each draw counts as an iteration, also one that is drawn again.
+        space: the planning space; each draw counts as an iteration, also one that cannot be used.
         trees: from the start and from the goals.
-        samples: draws [rad or m]; those used are projected in place.
-        first: index of the first to use.
-        reach: of extensions towards a sample, at most [rad].
-        draws: a value of DRAWS.
+        samples: draws (count, n) [rad or m]; they become samples in place.
+        first: row of the first draw.
+        reach: largest length of an extension towards a sample [rad].
+        draws: a value of DRAW_MODES.
 
     Returns:
-        GROWING (samples used up), CONNECTED (trees.meeting holds the nodes) or FULL (capacity used
-        up), the index of the next unused sample, and the number of draws that were used as samples.
+        GROWING (no draw is left), CONNECTED (trees.meeting holds the nodes) or FULL (no space for
+        more nodes); the row of the next draw; and the number of draws that became samples.
     """
     reserve = trees.nodes.shape[1] // 4
     nodes, parent, size = trees.nodes, trees.parent, trees.size
@@ -164,14 +188,15 @@ def grow(
         if max(size[0], size[1]) + reserve >= nodes.shape[1]:
             return FULL, i, used
         space.counters[ITERATIONS] += 1
-        if not usable(space, samples[i], draws):
+        if not make_sample(space, samples[i], draws):
             continue
         used += 1
         a = trees.turn[0]
         b = 1 - a
         trees.turn[0] = b  # Swap
         node_a, node_b, met = 0, 0, False
-        # tree a to the sample, tree b to the sample, tree b to tree a: one call site
+        # tree a to the sample, tree b to the sample, tree b to tree a: a loop, so that `extend` is
+        # compiled once
         for stage in range(3):
             tree = a if stage == 0 else b
             target = samples[i] if stage < 2 else nodes[a, node_a]
@@ -201,9 +226,15 @@ def extract_path(
     out: Annotated[np.ndarray, "longest n"],
     origin: Annotated[np.ndarray, "int64 longest 2"],
 ):
-    """Write the path's k states into out (k, n), their (tree, node) into origin; return k.
+    """Write the path through the meeting nodes.
 
-    out and origin have as many rows as both trees have nodes.
+    Args:
+        trees: CONNECTED ones.
+        out: states of the path [rad or m], written; as many rows as both trees have nodes.
+        origin: tree and node of each state, written; as many rows as `out`.
+
+    Returns:
+        Number of states of the path.
     """
     count, node = 0, trees.meeting[0]
     while node >= 0:
@@ -214,7 +245,7 @@ def extract_path(
         swap = origin[i, 1]
         origin[i, 1] = origin[count - 1 - i, 1]
         origin[count - 1 - i, 1] = swap
-    node = trees.parent[1, trees.meeting[1]]  # the meeting state itself stands in both trees
+    node = trees.parent[1, trees.meeting[1]]  # the meeting state is a node of both trees
     while node >= 0:
         origin[count, 0], origin[count, 1] = 1, node
         count += 1
@@ -227,19 +258,25 @@ def extract_path(
 
 @kernel
 def remove_subtree(trees, which, root):
-    """Take node root of one tree and all its descendants out of the search."""
+    """Exclude the node `root` of a tree and all its descendants from the search."""
     nodes, parent = trees.nodes[which], trees.parent[which]
-    nodes[root, 0] = REMOVED
+    nodes[root, 0] = REMOVED_NODE_RAD
     for i in range(root + 1, trees.size[which]):
-        if parent[i] >= 0 and nodes[parent[i], 0] == REMOVED:
-            nodes[i, 0] = REMOVED
+        if parent[i] >= 0 and nodes[parent[i], 0] == REMOVED_NODE_RAD:
+            nodes[i, 0] = REMOVED_NODE_RAD
 
 
 @entry
 def remove_child_of_segment(
     trees: Trees, origin: Annotated[np.ndarray, "int64 longest 2"], segment: int
 ):
-    """Cut the motion from path state segment to the next; origin is from `extract_path`."""
+    """Remove the motion from a path's state `segment` to the next one from its tree.
+
+    Args:
+        trees: the trees that the path was extracted from.
+        origin: as `extract_path` wrote it.
+        segment: number of the motion's first state.
+    """
     later_in_start_tree = origin[segment + 1, 0] == 0
     if later_in_start_tree:
         remove_subtree(trees, 0, origin[segment + 1, 1])
@@ -251,22 +288,22 @@ def remove_child_of_segment(
 
 @dataclass(frozen=True)
 class BiRRT:
-    """The bidirectional tree of Algorithm 3."""
+    """Settings of the bidirectional tree search of Algorithm 3."""
 
-    # [rad] between neighbouring nodes; a found path is refined to the space's own step
+    # largest distance of neighbouring nodes [rad]; a path is refined to the space's step
     step: float = 0.15
-    # [rad] longest extension towards a sample. Algorithm 3 has no limit (inf); 1 is best for
+    # longest extension towards a sample [rad]. Algorithm 3 has no limit (inf); 1 is best for
     # uniform samples on the tuning environments
     reach: float = 1.0
-    draws: str = "projected"  # a key of DRAWS
+    draws: str = "projected"  # a key of DRAW_MODES
 
     def __post_init__(self) -> None:
-        if self.draws not in DRAWS:
-            raise UnknownChoiceError("draws of a tree search", self.draws, DRAWS)
+        if self.draws not in DRAW_MODES:
+            raise UnknownChoiceError("draws of a tree search", self.draws, DRAW_MODES)
         if not self.reach > 0.0:
             raise InvalidInputError(
                 f"reach {self.reach}: give the longest extension towards a sample [rad], above 0; "
-                "inf is no limit, as the paper prints it"
+                "inf means no limit, as in the paper"
             )
 
     def search(
@@ -278,22 +315,23 @@ class BiRRT:
         budget: Budget,
         rng: np.random.Generator,
     ) -> PlanResult:
-        """Search a path from start (n,) to any row of goals (k, n); see `Search`."""
+        """Search a path from the start to any goal; the arguments are those of `Search.search`."""
         deadline = Deadline(budget, space)
         growth = GrowingTrees(self, space, plant(start, goals, capacity=4096), distribution, rng)
         path = growth.grow(np.inf, budget.iterations, deadline.clock)
-        return deadline.result(path, shown(growth.trees), distribution.name, growth.complaint)
+        trees = result_trees(growth.trees)
+        return deadline.result(path, trees, distribution.name, growth.warning)
 
 
 class GrowingTrees:
-    """Two trees that grow in slices of work.
+    """Two trees that grow in several calls of `grow`.
 
     Args:
-        method: says how they are grown.
+        method: settings of the search.
         space: the planning space.
-        trees: to grow.
-        distribution: that samples are drawn from.
-        rng: of all draws.
+        trees: from the start and from the goals.
+        distribution: sampling distribution.
+        rng: random number generator of all draws.
     """
 
     def __init__(
@@ -306,39 +344,41 @@ class GrowingTrees:
     ) -> None:
         self.trees = trees
         self._method, self._space, self._distribution, self._rng = method, space, distribution, rng
-        self._drawn, self._next, self._batch = np.empty((0, trees.nodes.shape[2])), 0, 16
-        self._draws = self._used = 0
+        self._drawn = np.empty((0, trees.nodes.shape[2]))  # draws; `grow` makes samples of them
+        self._next = 0  # row of the next draw
+        self._batch = 16  # number of draws that are made next
+        self._draws = self._used = 0  # number of draws, and of those that became samples
 
     @property
-    def complaint(self) -> str:
-        """That no draw could be used, or ""."""
+    def warning(self) -> str:
+        """Message if no draw could be projected onto the constraint, else ""."""
         unused = self._draws and not self._used
         return f"none of {self._draws} draws reached the constraint" if unused else ""
 
     def draw_from(self, distribution: SamplingDistribution, first: np.ndarray) -> None:
-        """From now on, draw from another distribution, after some draws (k, n) that are given."""
+        """Set the sampling distribution; the draws `first` (k, n) [rad or m] are used before it."""
         self._distribution, self._drawn, self._next = distribution, first.copy(), 0
 
     def grow(
         self, work: float, iterations: int | None = None, deadline: float = np.inf
     ) -> JointPath | None:
-        """Grow for so much more work, so many iterations, or until a clock time, or to a path.
+        """Grow until a limit of work, iterations or time is reached or the trees connect.
 
         Args:
-            work: as `ConstrainedSpace.work` counts it.
-            iterations: draws.
-            deadline: of time.perf_counter() [s].
+            work: limit of the work of this call, in units of `ConstrainedSpace.work`.
+            iterations: limit of the draws of this call; None: no limit.
+            deadline: limit of `time.perf_counter()` [s].
 
         Returns:
             A path that passed the fine check, or None.
         """
         arrays = self._space.arrays._replace(step=self._method.step)
-        most, left = self._space.work + work, np.inf if iterations is None else iterations
-        # draws used before work and clock are read
-        part = 4 if work < np.inf else 16
+        most = self._space.work + work
+        left = np.inf if iterations is None else iterations
+        part = 4 if work < np.inf else 16  # number of draws before work and clock are read
         while left > 0 and self._space.work < most and time.perf_counter() < deadline:
             if self._next == len(self._drawn):
-                # a copy: draws are projected in place
+                # a copy, because draws are projected in place
                 count = int(min(self._batch, left))
                 self._drawn = np.array(self._distribution.sample(self._rng, count), order="C")
                 self._next, self._batch = 0, min(2 * self._batch, 256)
@@ -349,7 +389,7 @@ class GrowingTrees:
                 self._drawn[: first + int(min(part, left))],
                 first,
                 self._method.reach,
-                DRAWS[self._method.draws],
+                DRAW_MODES[self._method.draws],
             )
             left -= self._next - first
             self._draws += self._next - first
@@ -365,14 +405,20 @@ class GrowingTrees:
         return None
 
 
-def shown(trees: Trees) -> tuple[Tree, Tree]:
-    """Both trees without their work arrays."""
-    (own, other), (a, b), parent = trees.nodes, trees.size, trees.parent
-    return Tree(own[:a], parent[0, :a]), Tree(other[:b], parent[1, :b])
+def result_trees(trees: Trees) -> tuple[Tree, Tree]:
+    """Return both trees as a `PlanResult` holds them, without work arrays."""
+    first, second = trees.size
+    return (
+        Tree(trees.nodes[0, :first], trees.parent[0, :first]),
+        Tree(trees.nodes[1, :second], trees.parent[1, :second]),
+    )
 
 
 def checked_tree_path(space: ConstrainedSpace, trees: Trees) -> JointPath | None:
-    """The path through the meeting nodes; None if its fine check fails: that motion is cut out."""
+    """Return the path through the meeting nodes if it passes the fine check.
+
+    Otherwise remove the motion that fails from its tree and return None.
+    """
     capacity = int(trees.size.sum())
     states = np.empty((capacity, trees.nodes.shape[2]))
     origin = np.empty((capacity, 2), dtype=np.int64)

@@ -1,9 +1,10 @@
-"""Cells of what a constraint leaves free, in several grids, and the nodes of two trees in them.
+"""Grids of cells over the free rows of a constraint, and the nodes of two trees in the cells.
 
-A grid divides the free rows of a constraint (unbounded or wide rows of its regions), or a random
-projection of the joints, into cells, as KPIECE (Sucan and Kavraki 2009) and EST (Hsu et al. 1999)
-do. Nobody knows the right size of cells beforehand: there are several grids, each used equally
-often. A cell that was chosen c times has the weight 1 / (1 + c)^2 in its grid.
+Free rows are those rows of the constraint's regions that are unbounded or wide. A grid divides the
+free rows, or a random projection of the joints, into cells, as KPIECE (Sucan and Kavraki 2009) and
+EST (Hsu et al. 1999) do. The right size of cells is not known in advance, so there are several
+grids, and each is used equally often. A cell that was chosen c times has the weight 1 / (1 + c)^2
+in its grid.
 """
 
 from typing import Annotated, NamedTuple
@@ -15,32 +16,40 @@ from cvqmpt_lab.constraints.regions import residual
 from cvqmpt_lab.robot.kinematics import forward_kinematics
 from cvqmpt_lab.search.space import ConstrainedSpace
 
-HELD = 8  # nodes of each tree that a cell remembers
+NODES_PER_CELL = 8  # largest number of nodes of each tree that a cell stores
 
 
 class Grids(NamedTuple):
-    """Cells of several grids, and which nodes of two trees lie in them."""
+    """Cells of several grids, and the nodes of two trees in them."""
 
-    # from free rows and joints to a place in each grid, in cells
+    # maps free rows and joints to coordinates in each grid, in units of cells
     projection: Annotated[np.ndarray, "grids axes coordinates"]
-    rows: Annotated[np.ndarray, "int64 free 2"]  # region and axis of free rows
-    table: Annotated[np.ndarray, "int32 grids slots"]  # a cell's number + 1 at its hash, or 0
-    place: Annotated[np.ndarray, "int32 grids cells axes"]
-    known: Annotated[np.ndarray, "int64 grids"]  # cells found in each grid
-    members: Annotated[np.ndarray, "int32 2 grids cells"]  # nodes of each tree in a cell
-    chosen: Annotated[np.ndarray, "int32 2 grids cells"]  # how often
-    held: Annotated[np.ndarray, "int32 2 grids cells held"]  # some of its nodes
-    # sums of weights: row i holds that of i & -i cells up to cell i - 1 (Fenwick 1994)
+    rows: Annotated[np.ndarray, "int64 free 2"]  # region and axis of each free row
+    # hash table of each grid: a cell's number + 1 at its slot; 0: the slot is empty
+    table: Annotated[np.ndarray, "int32 grids slots"]
+    place: Annotated[np.ndarray, "int32 grids cells axes"]  # integer coordinates of each cell
+    known: Annotated[np.ndarray, "int64 grids"]  # number of cells in each grid
+    members: Annotated[np.ndarray, "int32 2 grids cells"]  # number of each tree's nodes in a cell
+    chosen: Annotated[np.ndarray, "int32 2 grids cells"]  # how often each tree chose a cell
+    held: Annotated[np.ndarray, "int32 2 grids cells held"]  # nodes that a cell stores
+    # binary indexed tree of weights (Fenwick 1994): entry i is the sum over the i & -i cells that
+    # end with cell i - 1
     sums: Annotated[np.ndarray, "2 grids cells_and_one"]
     coordinates: Annotated[np.ndarray, "coordinates"]  # work array: free rows and joints of a state
-    cell: Annotated[np.ndarray, "int64 grids"]  # work array: the cells of a state
+    cell: Annotated[np.ndarray, "int64 grids"]  # work array: the cell of a state in each grid
     motion: Annotated[np.ndarray, "longest n"]  # work array: states of a motion
     refined: Annotated[np.ndarray, "finest n"]  # work array
 
 
 @kernel
 def _slot(place, table, cell):
-    """Where the place of a cell stands in a table of hashes, or the free slot where it belongs."""
+    """Return the slot of the cell with these coordinates, or the empty slot for it.
+
+    Args:
+        place: integer coordinates (cells, axes) of all cells of a grid.
+        table: its hash table.
+        cell: row of the coordinates.
+    """
     last, key = table.shape[0] - 1, 0
     for a in range(place.shape[1]):
         key = (key ^ place[cell, a]) * 0x5BD1E995
@@ -58,7 +67,7 @@ def _slot(place, table, cell):
 
 @kernel
 def _find_cells(space, grids, q):
-    """Write the cells of a state q (n,) into grids.cell; new ones are made."""
+    """Write the cells of a state q (n,) into grids.cell; add cells that are new."""
     rotation, translation = space.scratch.link_rotation, space.scratch.link_translation
     displacement, x = space.scratch.displacement, grids.coordinates
     forward_kinematics(space.kinematics, q, rotation, translation)
@@ -85,7 +94,16 @@ def _find_cells(space, grids, q):
 
 @kernel
 def _count(grids, tree, g, cell, nodes, choices):
-    """Change how many nodes of a tree are in a cell, and how often it was chosen."""
+    """Add to the numbers of nodes and of choices of a cell, and update the sums of weights.
+
+    Args:
+        grids: changed in place.
+        tree: 0 or 1.
+        g: the grid.
+        cell: the cell.
+        nodes: number of new nodes.
+        choices: number of new choices.
+    """
     count, chosen = grids.members[tree, g], grids.chosen[tree, g]
     before = 0.0
     if count[cell] > 0:
@@ -101,19 +119,36 @@ def _count(grids, tree, g, cell, nodes, choices):
 
 @kernel
 def place_node(space, grids, tree, nodes, node):
-    """Put a node of a tree into its cells, which grids.cell then holds."""
+    """Add a node of a tree to its cells; grids.cell then holds them.
+
+    Args:
+        space: the planning space.
+        grids: changed in place.
+        tree: 0 or 1.
+        nodes: of this tree (capacity, n) [rad or m].
+        node: number of the node.
+    """
     _find_cells(space, grids, nodes[node])
     for g in range(grids.cell.shape[0]):
         cell = grids.cell[g]
         known = grids.members[tree, g, cell]
-        held = known if known < HELD else (node * 0x5BD1E995 >> 13) % HELD
+        # a full cell replaces a pseudo-random one of its nodes
+        held = known if known < NODES_PER_CELL else (node * 0x5BD1E995 >> 13) % NODES_PER_CELL
         grids.held[tree, g, cell, held] = node
         _count(grids, tree, g, cell, 1, 0)
 
 
 @kernel
 def choose(grids, tree, g, share, which):
-    """A node of a tree in a cell of grid g, drawn by weight; share, which: uniform in [0, 1)."""
+    """Choose a cell of a grid by weight, and return a node in it.
+
+    Args:
+        grids: the choice is counted.
+        tree: 0 or 1.
+        g: the grid.
+        share: uniform in [0, 1), chooses the cell.
+        which: uniform in [0, 1), chooses the node.
+    """
     sums = grids.sums[tree, g]
     stride = sums.shape[0] - 1  # a power of two
     left, cell = share * sums[stride], 0
@@ -122,19 +157,19 @@ def choose(grids, tree, g, share, which):
         if sums[cell + stride] <= left and cell + stride < grids.known[g]:
             cell += stride
             left -= sums[cell]
-    # rounding may lead to a neighbour that the tree does not touch
+    # by rounding, the cell may be a neighbour without nodes of this tree
     while grids.members[tree, g, cell] == 0:
         cell = cell - 1 if cell > 0 else grids.known[g] - 1
     _count(grids, tree, g, cell, 0, 1)
-    return grids.held[tree, g, cell, int(which * min(grids.members[tree, g, cell], HELD))]
+    return grids.held[tree, g, cell, int(which * min(grids.members[tree, g, cell], NODES_PER_CELL))]
 
 
 def empty_grids(space: ConstrainedSpace, rng: np.random.Generator, cells: int = 2048) -> Grids:
-    """Grids for a space, with room for so many cells (a power of two) each.
+    """Return grids for a space, each with space for `cells` cells (a power of two).
 
-    Of free positions there are three grids, of all free rows one coarse one, and one of a random
-    projection of the joints, to three axes; where nothing is free, three of such projections. Sizes
-    are shares of the arm's reach, of half a turn and of the joints' ranges.
+    There are three grids of the free positions, a coarse one of all free rows, and one of a random
+    projection of the joints to three axes. Without free rows there are three such projections.
+    Cell sizes are shares of the arm's reach, of half a turn and of the joints' ranges.
     """
     n, lower, upper = space.robot.dof, space.robot.lower, space.robot.upper
     rows = free_rows(space)
@@ -163,7 +198,7 @@ def empty_grids(space: ConstrainedSpace, rng: np.random.Generator, cells: int = 
         known=np.zeros(g, dtype=np.int64),
         members=np.zeros((2, g, cells), dtype=np.int32),
         chosen=np.zeros((2, g, cells), dtype=np.int32),
-        held=np.zeros((2, g, cells, HELD), dtype=np.int32),
+        held=np.zeros((2, g, cells, NODES_PER_CELL), dtype=np.int32),
         sums=np.zeros((2, g, cells + 1)),
         coordinates=np.zeros(len(rows) + n),
         cell=np.zeros(g, dtype=np.int64),
@@ -173,21 +208,22 @@ def empty_grids(space: ConstrainedSpace, rng: np.random.Generator, cells: int = 
 
 
 def free_rows(space: ConstrainedSpace, wide: float = 1.0) -> np.ndarray:
-    """Region and axis (free, 2) of rows that are unbounded, or bounded by more than wide [m, rad].
+    """Return region and axis (free, 2) of rows with bounds more than `wide` apart [m, rad].
 
-    Axes are those of `TaskSpaceRegion.Bw`: positions 0 to 2, rotation vector 3 to 5.
+    Unbounded rows are among them. Axes are those of `TaskSpaceRegion.Bw`: positions 0 to 2,
+    rotation vector 3 to 5.
     """
     if space.constraint is None:
         return np.empty((0, 2), dtype=np.int64)
     regions = space.constraint.inner_regions()
     width = np.full((len(regions.link), 7), np.inf)
     width[regions.region, regions.axis] = regions.upper - regions.lower
-    # compiled code reads rows one after the other in memory
+    # compiled code needs rows that lie one after the other in memory
     return np.ascontiguousarray(np.argwhere(width[:, :6] > wide))
 
 
 def enlarged_grids(grids: Grids) -> Grids:
-    """The same grids with room for twice as many cells each."""
+    """Return the same grids, each with space for twice as many cells."""
 
     def twice(array: np.ndarray, axis: int) -> np.ndarray:
         return np.concatenate([array, np.zeros_like(array)], axis=axis)
@@ -201,14 +237,14 @@ def enlarged_grids(grids: Grids) -> Grids:
         sums=twice(grids.sums, 2)[:, :, :-1],
     )
     larger = larger._replace(sums=np.ascontiguousarray(larger.sums))
-    larger.sums[:, :, -1] = grids.sums[:, :, -1]  # of all cells
+    larger.sums[:, :, -1] = grids.sums[:, :, -1]  # the sum over all cells
     fill_table.unchecked(larger)
     return larger
 
 
 @entry
 def fill_table(grids: Grids):
-    """Put all known cells into the empty table."""
+    """Enter all known cells into the empty hash tables."""
     for g in range(grids.place.shape[0]):
         for cell in range(grids.known[g]):
             slot = _slot(grids.place[g], grids.table[g], cell)

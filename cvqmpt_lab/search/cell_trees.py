@@ -1,13 +1,13 @@
-"""Two trees that explore what the constraint leaves free by short steps, for narrow passages.
+"""Two trees that explore the free rows of the constraint by random walks, for narrow passages.
 
     repeat until the trees meet or the budget is spent:
-        choose a grid; of its cells that T_a touches, one that was rarely chosen; a node in it
+        choose a grid; one of its cells with nodes of T_a, rarely chosen ones first; a node in it
         walk from there in a random direction until blocked; each state becomes a node of T_a
-        where T_b touches the last one's cell in any grid, try the direct motion to its node there
+        if T_b has nodes in the cells of the last state, try a direct motion to the nearest of them
         Swap(T_a, T_b)
 
-Cells are those of `cell_grids`. Motions between nodes are checked finely when they are made: a path
-through the trees is a solution.
+Cells are those of `cell_grids`. Motions between nodes are checked finely when they are made, so a
+path through both trees is a solution.
 """
 
 import time
@@ -25,10 +25,10 @@ from cvqmpt_lab.search.birrt import (
     checked_tree_path,
     enlarged_trees,
     plant,
-    shown,
+    result_trees,
 )
 from cvqmpt_lab.search.cell_grids import (
-    HELD,
+    NODES_PER_CELL,
     Grids,
     choose,
     empty_grids,
@@ -37,12 +37,13 @@ from cvqmpt_lab.search.cell_grids import (
 )
 from cvqmpt_lab.search.motion import (
     CLEARANCES,
-    DEVIATION,
     EXTENSIONS,
     ITERATIONS,
+    MAX_LENGTH_RATIO,
     PROJECTIONS,
+    SAME_STATE_RAD,
     STATE_CHECKS,
-    STOPPED,
+    TRAPPED,
     Space,
     bisect_motion,
     distance,
@@ -61,12 +62,24 @@ _work = kernel(search_work)
 
 @kernel
 def _join(space, grids, trees, a, node, farthest):
-    """Join a node of tree a, whose cells grids.cell holds, to a near one of the other tree."""
+    """Connect a node of one tree to a near node of the other tree by a direct motion.
+
+    Args:
+        space: the planning space.
+        grids: grids.cell holds the cells of the node.
+        trees: the motion's states become nodes of tree a.
+        a: row of the node's tree.
+        node: number of the node.
+        farthest: nodes further apart are not connected [rad].
+
+    Returns:
+        Whether the trees are connected; trees.meeting then holds the nodes.
+    """
     b = 1 - a
     q, other, least = trees.nodes[a, node], -1, farthest
     for g in range(grids.cell.shape[0]):
         cell = grids.cell[g]
-        for k in range(min(grids.members[b, g, cell], HELD)):
+        for k in range(min(grids.members[b, g, cell], NODES_PER_CELL)):
             gap = distance(q, trees.nodes[b, grids.held[b, g, cell, k]])
             if gap < least:
                 other, least = grids.held[b, g, cell, k], gap
@@ -78,7 +91,8 @@ def _join(space, grids, trees, a, node, farthest):
     if other < 0:
         return False
     target = trees.nodes[b, other]
-    states = bisect_motion(space, q, target, max(DEVIATION * least, space.step), grids.motion)
+    longest = max(MAX_LENGTH_RATIO * least, space.step)
+    states = bisect_motion(space, q, target, longest, grids.motion)
     if states == 0 or not segment_valid(space, q, grids.motion[0]):
         return False
     if refine_and_check(space, grids.motion[:states], grids.refined)[1] >= 0:
@@ -96,7 +110,7 @@ def _join(space, grids, trees, a, node, farthest):
 
 @entry
 def plant_cells(space: Space, trees: Trees, grids: Grids):
-    """Put the roots of both trees into their cells."""
+    """Add the roots of both trees to their cells."""
     for tree in range(2):
         for node in range(trees.size[tree]):
             place_node(space, grids, tree, trees.nodes[tree], node)
@@ -113,21 +127,21 @@ def grow_cells(
     most_work: float,
     farthest: float,
 ):
-    """Walk once for each row of shifts from the first, until the trees meet.
+    """Make one walk for each row of shifts, from row `first` on, until the trees meet.
 
     Args:
         space: the planning space; each walk counts as an iteration.
         trees: from the start and from the goals.
         grids: their cells.
-        shifts: from a node to where a walk goes [rad or m].
-        chances: uniform in [0, 1): which grid, cell and node.
+        shifts: vector (count, n) from a walk's first node to its target [rad or m].
+        chances: (count, 3), uniform in [0, 1): choose grid, cell and node.
         first: row of the first walk.
-        most_work: as `Counters.work` counts it, in all so far, at which to end.
-        farthest: states that are joined [rad].
+        most_work: limit of the work in this space so far, in units of `Counters.work`.
+        farthest: nodes of both trees further apart are not connected [rad].
 
     Returns:
-        GROWING, CONNECTED (trees.meeting holds the nodes) or FULL (nodes or cells used up), and the
-        index of the next walk.
+        GROWING (no walk or work is left), CONNECTED (trees.meeting holds the nodes) or FULL (no
+        space for more nodes or cells), and the row of the next walk.
     """
     counters, limit = space.counters, trees.nodes.shape[1]
     longest = grids.motion.shape[0]
@@ -146,18 +160,18 @@ def grow_cells(
         trees.turn[0] = 1 - a  # Swap
         g = int(chances[i, 0] * grids.known.shape[0])
         node = choose(grids, a, g, chances[i, 1], chances[i, 2])
-        target, far = shifts[i], 0.0
+        target = shifts[i]
         for j in range(target.shape[0]):
             place = nodes[node, j] + target[j]
             target[j] = min(max(place, space.kinematics.lower[j]), space.kinematics.upper[j])
-        far = DEVIATION * distance(nodes[node], target)
+        left = MAX_LENGTH_RATIO * distance(nodes[node], target)
         walked = 0
-        while walked < longest and distance(nodes[node], target) > 1e-9:
+        while walked < longest and distance(nodes[node], target) > SAME_STATE_RAD:
             new = trees.size[a]
-            step = step_towards(space, nodes[node], target, far, nodes[new])
-            if step == STOPPED or not segment_valid(space, nodes[node], nodes[new]):
+            step = step_towards(space, nodes[node], target, left, nodes[new])
+            if step == TRAPPED or not segment_valid(space, nodes[node], nodes[new]):
                 break
-            far -= distance(nodes[node], nodes[new])
+            left -= distance(nodes[node], nodes[new])
             parent[new] = node
             trees.size[a] = new + 1
             place_node(space, grids, a, nodes, new)
@@ -171,13 +185,13 @@ def grow_cells(
 
 
 class CellTrees:
-    """Two trees and their cells, which grow in slices of work.
+    """Two trees and their cells, which grow in several calls of `grow`.
 
     Args:
         space: the planning space.
         start: (n,) [rad or m].
         goals: (k, n) [rad or m].
-        rng: of all random numbers.
+        rng: random number generator.
     """
 
     def __init__(
@@ -200,12 +214,12 @@ class CellTrees:
     def grow(
         self, work: float, iterations: int | None = None, deadline: float = np.inf
     ) -> JointPath | None:
-        """Grow for so much more work, so many iterations, or until a clock time, or to a path.
+        """Grow until a limit of work, iterations or time is reached or the trees connect.
 
         Args:
-            work: as `ConstrainedSpace.work` counts it.
-            iterations: walks.
-            deadline: of time.perf_counter() [s].
+            work: limit of the work of this call, in units of `ConstrainedSpace.work`.
+            iterations: limit of the walks of this call; None: no limit.
+            deadline: limit of `time.perf_counter()` [s].
 
         Returns:
             A path that passed the fine check, or None.
@@ -225,7 +239,7 @@ class CellTrees:
                 self._chances[:last],
                 self._next,
                 most,
-                4.0,
+                4.0,  # farthest [rad]
             )
             left -= int(self._space.arrays.counters[ITERATIONS] - before)
             self._space.reraise()
@@ -243,7 +257,7 @@ class CellTrees:
         return None
 
     def _draw(self, count: int) -> None:
-        """Draw what the next walks do: lengths from 0.1 to 2 rad a joint."""
+        """Draw random numbers for `count` walks, of lengths from 0.1 to 2 rad per joint."""
         n = len(self._scale)
         length = 0.1 * 20.0 ** self._rng.random((count, 1))
         self._shifts = length * self._scale * self._rng.standard_normal((count, n))
@@ -253,7 +267,7 @@ class CellTrees:
 
 @dataclass(frozen=True)
 class CellSearch:
-    """Trees of cells as a planner's search."""
+    """Settings of a search by trees with cells; there are none."""
 
     def search(
         self,
@@ -264,11 +278,11 @@ class CellSearch:
         budget: Budget,
         rng: np.random.Generator,
     ) -> PlanResult:
-        """Search a path from start (n,) to any row of goals (k, n); see `Search`.
+        """Search a path from the start to any goal; the arguments are those of `Search.search`.
 
-        The distribution is not used: walks start from nodes.
+        The distribution is not used: walks start at nodes.
         """
         deadline = Deadline(budget, space)
         growth = CellTrees(space, start, goals, rng)
         path = growth.grow(np.inf, budget.iterations, deadline.clock)
-        return deadline.result(path, shown(growth.trees), "cells")
+        return deadline.result(path, result_trees(growth.trees), "cells")

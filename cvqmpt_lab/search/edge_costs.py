@@ -1,11 +1,11 @@
-"""Probability that a straight motion is free, from clearances in the checker's distance grid.
+"""Estimated probability that a straight motion is free, from the checker's distance grid.
 
-One logistic curve serves all robots:
+It is a logistic function, the same for all robots:
 
     log (P(free) / (1 - P(free))) = slope * d + bias
 
-d is the smallest clearance [m] of the robot's balls at states along the motion. Nothing is checked:
-a motion costs one to two microseconds. Self-collisions are not seen.
+d is the smallest clearance [m] of the robot's bounding balls at some states along the motion. The
+estimate takes one to two microseconds. It is no collision check, and ignores self-collisions.
 """
 
 from typing import Annotated, NamedTuple
@@ -16,35 +16,35 @@ from cvqmpt_lab.base.jit import entry, kernel
 from cvqmpt_lab.collision.checker import ball_clearance
 from cvqmpt_lab.collision.distance_grid import DistanceGrid
 from cvqmpt_lab.robot.kinematics import forward_kinematics
-from cvqmpt_lab.search.motion import CLEARANCES, GAP, Space
+from cvqmpt_lab.search.motion import CLEARANCES, MAX_BISECTED_STEPS, Space
 
-CLEARANCE_MIN_M, CLEARANCE_MAX_M = -0.1, 0.15  # clearances of edges are cut off here
+CLEARANCE_MIN_M, CLEARANCE_MAX_M = -0.1, 0.15  # clearances of edges are clipped to this range
 
 
 class EdgeCosts(NamedTuple):
-    """What motions cost beyond their length: weight * -log P(free).
+    """Cost of a motion in addition to its length: weight * -log P(free).
 
-    slope, bias: fitted to 32 256 edges of three arms (docs/training_log.md, part 3).
+    slope and bias were fitted to 32 256 edges of three arms (docs/training_log.md, part 3).
     """
 
-    grid: DistanceGrid  # of the scene
+    grid: DistanceGrid  # distances to the scene
     slope: float = 164.01773114271577  # [1/m]
     bias: float = 6.477892406232406  # log odds at clearance 0
-    weight: float = 4.0  # [rad] of -log P(free); 0: motions cost their length
-    # [rad] between the states whose clearances are read; GAP times as much at most
+    weight: float = 4.0  # [rad]; 0: the cost of a motion is its length
+    # between the states whose clearances are read [rad]; at most MAX_BISECTED_STEPS times as much
     spacing: float = 0.3
 
 
 @kernel(inline="source")
 def smallest_clearance(space, grid, lowest):
-    """The smallest clearance [m] of the posed robot's balls in a grid, at most `lowest`."""
+    """Return the smaller of `lowest` and the smallest clearance [m] of the posed robot's balls."""
     r, t, robot = space.scratch.link_rotation, space.scratch.link_translation, space.robot
     for k in range(robot.order.shape[0]):
         body = robot.order[k]
         link, node, end = robot.body_link[body], robot.body_start[body], robot.body_start[body + 1]
         while node < end:
             clearance = ball_clearance(grid, r, t, robot, link, node)
-            if clearance >= lowest:  # of this ball, so of all balls in it
+            if clearance >= lowest:  # then also of all balls inside this one
                 node = robot.skip[node]
                 continue
             if robot.leaf[node] >= 0:
@@ -55,17 +55,17 @@ def smallest_clearance(space, grid, lowest):
 
 @kernel(inline="machine")
 def negative_log(costs, clearance):
-    """-log P(free) = log (1 + exp(-slope d - bias)) of a motion with smallest clearance d [m]."""
+    """Return -log P(free) = log (1 + exp(-slope d - bias)) for the smallest clearance d [m]."""
     odds = costs.slope * max(clearance, CLEARANCE_MIN_M) + costs.bias
-    # at log odds of 18, P(free) is 1 to double precision of the costs
+    # above log odds of 18, the cost is 0 within double precision
     return max(-odds, 0.0) + np.log1p(np.exp(-abs(odds))) if odds < 18.0 else 0.0
 
 
 @kernel(inline="machine")
 def readings(costs, length):
-    """How many clearances are read on a motion of that length [rad]: 1, 2, 4, 8, ..."""
+    """Return the number of clearances to read along a motion of a length [rad]: 1, 2, 4, 8, ..."""
     count = 1
-    while length > GAP * costs.spacing * count:
+    while length > MAX_BISECTED_STEPS * costs.spacing * count:
         count *= 2
     return count
 
@@ -79,9 +79,20 @@ def reading(
     k: int,
     lowest: float,
 ):
-    """The smaller of lowest and reading k of the clearance [m] between a and b (n,), straight.
+    """Read the clearance at the k-th bisection point of the segment from a to b.
 
-    Readings are at b, the middle, 1/4, 3/4, 1/8, ...; space.state and its scratch are overwritten.
+    The points are b, the middle, 1/4, 3/4, 1/8, ... of the segment.
+
+    Args:
+        space: the planning space; its state and scratch are overwritten.
+        costs: hold the distance grid.
+        a: (n,) [rad or m].
+        b: (n,) [rad or m].
+        k: number of the bisection point.
+        lowest: upper bound of the result [m].
+
+    Returns:
+        The smaller of `lowest` and the clearance at that point [m].
     """
     level, place = 1, 1.0
     while 2 * level <= k:

@@ -1,14 +1,14 @@
 """Lazy shortest paths on a roadmap under a constraint.
 
-A lazy probabilistic roadmap (Bohlin and Kavraki 2000): A* assumes that every node and edge that is
-not known to be blocked is free. The nodes of the path it returns are projected and checked, then
-its edges, coarsely; what fails is blocked and the search repeated. The caller makes the fine check
-and blocks what fails it. An edge from a to b that is not yet checked costs
+A lazy probabilistic roadmap (Bohlin and Kavraki 2000): A* assumes that every node and edge is free
+unless it is known to be blocked. The nodes of the path that A* returns are projected and checked,
+then its edges, coarsely. Those that fail are blocked, and A* runs again. The caller makes the fine
+check and blocks the edges that fail it. An edge from a to b that is not yet checked costs
 
     (f(a) + f(b)) / 2 * |b - a| - w log P(free),    f(q) = 1 + penalty |F(q)|
 
-P(free) follows from clearances along the edge (`edge_costs`). They are read one by one when the
-search takes the edge, until another edge is cheaper.
+P(free) is estimated from clearances along the edge (`edge_costs`). They are read one by one when
+the edge comes out of the queue, until another edge is cheaper.
 """
 
 from typing import Annotated, NamedTuple
@@ -35,34 +35,38 @@ from cvqmpt_lab.search.motion import (
     state_valid,
 )
 
-UNKNOWN, FREE, BLOCKED = range(3)
-NO_PATH = 0  # instead of a number of states
+UNCHECKED, CHECKED_FREE, BLOCKED = range(3)  # results of checks of nodes and edges
+NO_PATH = 0  # returned in place of a number of states
 
 
 class RoadmapArrays(NamedTuple):
-    """A roadmap, a query and work arrays; rows of `nodes` are N nodes, the start and G goals."""
+    """A roadmap, a query and work arrays.
+
+    Rows of `nodes` are N nodes, the start and G goals. The first N + 1 rows have edges: to their
+    neighbours (links) and to the goals; both together are the row's exits.
+    """
 
     nodes: Annotated[np.ndarray, "rows n"]  # configurations, projected in place [rad or m]
-    neighbours: Annotated[np.ndarray, "int32 inner links"]  # nodes that a row leads to, or -1
-    edge: Annotated[np.ndarray, "int8 inner links"]  # verdicts on those edges
-    # verdicts on the edges from each row to each goal; BLOCKED where there is none
+    neighbours: Annotated[np.ndarray, "int32 inner links"]  # rows that edges lead to, or -1
+    edge: Annotated[np.ndarray, "int8 inner links"]  # UNCHECKED, CHECKED_FREE or BLOCKED
+    # the same for edges from each row to each goal; BLOCKED where there is no edge
     goal_edge: Annotated[np.ndarray, "int8 inner goals"]
-    node: Annotated[np.ndarray, "int8 rows"]  # verdicts
-    penalty: float  # edges at a node cost 1 + penalty * |F| times their length
-    longest: float  # [rad] paths that cost as much or more are not searched for
-    clearance: Annotated[np.ndarray, "rows"]  # [m] of nodes; inf: not yet read
-    # smallest clearance [m] read so far along each edge, and along those to each goal
+    node: Annotated[np.ndarray, "int8 rows"]  # the same for nodes
+    penalty: float  # f(q) = 1 + penalty * |F(q)|
+    longest: float  # paths that cost as much or more are not searched for [rad]
+    clearance: Annotated[np.ndarray, "rows"]  # of nodes [m]; inf: not yet read
+    # smallest clearance read so far along each edge [m]
     lowest: Annotated[np.ndarray, "inner exits"]
-    # 4 times how many clearances were read along an edge, plus `_state` of its ends at that time
-    known: Annotated[np.ndarray, "int32 inner exits"]
-    # f(q) >= 1 of each node; 0: not yet computed
-    factor: Annotated[np.ndarray, "rows"]
-    to_go: Annotated[np.ndarray, "rows"]  # distance to the nearest goal [rad]
-    cost: Annotated[np.ndarray, "rows"]  # from the start, in a search
-    parent: Annotated[np.ndarray, "int32 rows"]  # row before each one
-    slot: Annotated[np.ndarray, "int32 rows"]  # edge by which each row was reached
-    closed: Annotated[np.ndarray, "int8 rows"]  # rows that are done
-    heap: Annotated[np.ndarray, "queue"]  # costs in the queue
+    clearances_read: Annotated[np.ndarray, "int32 inner exits"]  # number of them
+    # `_end_state` of each edge when they were read; 0: none was read
+    end_state: Annotated[np.ndarray, "int8 inner exits"]
+    factor: Annotated[np.ndarray, "rows"]  # f(q) >= 1 of each node; 0: not yet computed
+    to_go: Annotated[np.ndarray, "rows"]  # estimated cost to the nearest goal [rad]
+    cost: Annotated[np.ndarray, "rows"]  # from the start, in one search [rad]
+    parent: Annotated[np.ndarray, "int32 rows"]  # row before each one on the cheapest path
+    slot: Annotated[np.ndarray, "int32 rows"]  # exit of the parent that leads to each row
+    closed: Annotated[np.ndarray, "int8 rows"]  # 1 for rows that were expanded
+    heap: Annotated[np.ndarray, "queue"]  # keys in the queue [rad]
     heap_edge: Annotated[np.ndarray, "int32 queue"]  # their edges: row * exits + slot
 
 
@@ -74,7 +78,15 @@ def nearest_nodes(
     chosen: Annotated[np.ndarray, "int32 k"],
     squares: Annotated[np.ndarray, "k"],
 ):
-    """Write the k nearest of the first count rows, nearest first, and squares |row - target|^2."""
+    """Find the k nearest of the first `count` rows, nearest first.
+
+    Args:
+        nodes: configurations [rad or m].
+        count: number of rows to search.
+        target: (n,) [rad or m].
+        chosen: written, rows of the k nearest.
+        squares: written, their squared distances [rad^2].
+    """
     k, found = chosen.shape[0], 0
     for i in range(count):
         square = 0.0
@@ -96,7 +108,13 @@ def link_query(
     chosen: Annotated[np.ndarray, "int32 links"],
     squares: Annotated[np.ndarray, "links"],
 ):
-    """Link start and goals to as many nearest nodes as `chosen`, a work array, has entries."""
+    """Add edges from the start and to the goals, to the nearest nodes.
+
+    Args:
+        roadmap: changed in place.
+        chosen: work array; its length is the number of nodes to link to.
+        squares: work array.
+    """
     goals = roadmap.goal_edge.shape[1]
     count = roadmap.nodes.shape[0] - 1 - goals
     for i in range(roadmap.nodes.shape[0]):
@@ -111,21 +129,21 @@ def link_query(
     for g in range(goals):
         for i in range(count):
             roadmap.goal_edge[i, g] = BLOCKED
-        roadmap.goal_edge[count, g] = UNKNOWN
+        roadmap.goal_edge[count, g] = UNCHECKED
         nearest_nodes(roadmap.nodes, count, roadmap.nodes[count + 1 + g], chosen, squares)
         for slot in range(chosen.shape[0]):
-            roadmap.goal_edge[chosen[slot], g] = UNKNOWN
+            roadmap.goal_edge[chosen[slot], g] = UNCHECKED
 
 
 @kernel(inline="machine")
-def _state(roadmap, here, there):
-    """One more than the number of an edge's ends that are projected."""
-    return 1 + (roadmap.node[here] == FREE) + (roadmap.node[there] == FREE)
+def _end_state(roadmap, here, there):
+    """Return 1 + the number of an edge's ends that are projected."""
+    return 1 + (roadmap.node[here] == CHECKED_FREE) + (roadmap.node[there] == CHECKED_FREE)
 
 
 @kernel(inline="source")
 def _factor(space, roadmap, i):
-    """Cost factor f = 1 + penalty |F(q)| of node i, at its place before projection."""
+    """Return the cost factor f = 1 + penalty |F(q)| of node i before its projection."""
     if roadmap.factor[i] == 0.0:
         scratch = space.scratch
         forward_kinematics(
@@ -144,7 +162,7 @@ def _factor(space, roadmap, i):
 
 @kernel
 def _read_node(space, roadmap, costs, i):
-    """Read the clearance at node i, once before and once after its projection."""
+    """Read the clearance at node i unless it is known; a projection makes it unknown."""
     if roadmap.clearance[i] == np.inf:
         roadmap.clearance[i] = reading(
             space, costs, roadmap.nodes[i], roadmap.nodes[i], 0, CLEARANCE_MAX_M
@@ -153,8 +171,20 @@ def _read_node(space, roadmap, costs, i):
 
 @kernel(inline="source")
 def _read_edge(space, roadmap, costs, row, slot, there):
-    """Read the next clearance along an edge; return the increase of its -log P(free)."""
-    before, k = roadmap.lowest[row, slot], roadmap.known[row, slot] // 4
+    """Read the next clearance along an edge.
+
+    Args:
+        space: the planning space.
+        roadmap: changed in place.
+        costs: of edges.
+        row: the edge's first node.
+        slot: its exit.
+        there: the edge's last node.
+
+    Returns:
+        The increase of the edge's -log P(free).
+    """
+    before, k = roadmap.lowest[row, slot], roadmap.clearances_read[row, slot]
     lowest = before
     if k == 0:
         _read_node(space, roadmap, costs, there)
@@ -162,17 +192,20 @@ def _read_edge(space, roadmap, costs, row, slot, there):
     elif before > CLEARANCE_MIN_M:
         lowest = reading(space, costs, roadmap.nodes[row], roadmap.nodes[there], k, before)
     roadmap.lowest[row, slot] = lowest
-    roadmap.known[row, slot] += 4
+    roadmap.clearances_read[row, slot] = k + 1
     return negative_log(costs, lowest) - negative_log(costs, before)
 
 
 @kernel
 def _astar(space, roadmap, costs):
-    """Row of the goal that the cheapest path leads to, or -1; parent and slot hold the path.
+    """Find the cheapest path; roadmap.parent and roadmap.slot hold it.
 
-    Lazy weighted A* (Cohen, Phillips and Likhachev 2014): an edge enters the queue at its length
-    and what is known of its clearance. When it comes out, clearances along it are read until
-    another edge is cheaper.
+    Lazy weighted A* (Cohen, Phillips and Likhachev 2014): an edge enters the queue with the cost of
+    its length and of the clearances read so far. When it comes out, more clearances are read until
+    all are known or another edge is cheaper.
+
+    Returns:
+        Row of the goal at its end; -1: there is no path.
     """
     goals, k = roadmap.goal_edge.shape[1], roadmap.neighbours.shape[1]
     start, exits, size = roadmap.nodes.shape[0] - 1 - goals, k + goals, 0
@@ -196,24 +229,22 @@ def _astar(space, roadmap, costs):
             if roadmap.cost[here] + length >= roadmap.cost[there]:
                 continue
             weight = 0.5 * (_factor(space, roadmap, here) + _factor(space, roadmap, there))
-            cost, judged = (
-                roadmap.cost[here] + weight * length,
-                verdict == FREE or costs.weight == 0.0,
-            )
-            if not judged:
-                state = _state(roadmap, here, there)
-                if roadmap.known[here, slot] % 4 != state:
-                    roadmap.known[here, slot], roadmap.lowest[here, slot] = (
-                        state,
-                        roadmap.clearance[here],
-                    )
+            cost = roadmap.cost[here] + weight * length
+            final = verdict == CHECKED_FREE or costs.weight == 0.0
+            if not final:
+                state = _end_state(roadmap, here, there)
+                # an end was projected since the clearances were read
+                if roadmap.end_state[here, slot] != state:
+                    roadmap.end_state[here, slot] = state
+                    roadmap.clearances_read[here, slot] = 0
+                    roadmap.lowest[here, slot] = roadmap.clearance[here]
                 lowest = min(roadmap.lowest[here, slot], roadmap.clearance[there])
                 roadmap.lowest[here, slot] = lowest
                 cost += costs.weight * negative_log(costs, lowest)
-                judged = roadmap.known[here, slot] // 4 >= readings(costs, length)
+                final = roadmap.clearances_read[here, slot] >= readings(costs, length)
             hopeful = cost < roadmap.cost[there] and cost + roadmap.to_go[there] < roadmap.longest
             if hopeful and size < roadmap.heap.shape[0]:
-                if judged:
+                if final:
                     roadmap.cost[there] = cost
                 push(
                     roadmap.heap,
@@ -234,9 +265,9 @@ def _astar(space, roadmap, costs):
                 continue
             verdict = roadmap.edge[row, slot] if slot < k else roadmap.goal_edge[row, slot - k]
             cost, left, cheapest = key - roadmap.to_go[there], 0, True
-            if verdict != FREE and costs.weight > 0.0:
+            if verdict != CHECKED_FREE and costs.weight > 0.0:
                 left = readings(costs, distance(roadmap.nodes[row], roadmap.nodes[there]))
-                left -= roadmap.known[row, slot] // 4
+                left -= roadmap.clearances_read[row, slot]
             while cheapest and left > 0:
                 left -= 1
                 cost += costs.weight * _read_edge(space, roadmap, costs, row, slot, there)
@@ -256,8 +287,8 @@ def _astar(space, roadmap, costs):
 
 @kernel(inline="source")
 def _node_free(space, roadmap, i, drift):
-    """Project node i by at most drift [rad] and check it; the verdict is kept."""
-    if roadmap.node[i] == UNKNOWN:
+    """Whether node i is free after its projection by at most `drift` [rad]; checked only once."""
+    if roadmap.node[i] == UNCHECKED:
         for j in range(roadmap.nodes.shape[1]):
             space.state[j] = roadmap.nodes[i, j]
         free = (
@@ -265,13 +296,21 @@ def _node_free(space, roadmap, i, drift):
             and distance(space.state, roadmap.nodes[i]) <= drift
         )
         roadmap.clearance[i] = np.inf
-        roadmap.node[i] = FREE if free and state_valid(space, roadmap.nodes[i]) else BLOCKED
-    return roadmap.node[i] == FREE
+        free = free and state_valid(space, roadmap.nodes[i])
+        roadmap.node[i] = CHECKED_FREE if free else BLOCKED
+    return roadmap.node[i] == CHECKED_FREE
 
 
 @kernel(inline="source")
-def _settle_edge(roadmap, a, b, verdict):
-    """Keep a verdict on the edge by which the last search came from row a to row b."""
+def _store_verdict(roadmap, a, b, verdict):
+    """Store the verdict on the edge from row a to row b that the last search used.
+
+    Args:
+        roadmap: changed in place; also the edge from b to a.
+        a: row of the edge's first node.
+        b: row of its last node.
+        verdict: CHECKED_FREE or BLOCKED.
+    """
     slot, k = np.int64(roadmap.slot[b]), roadmap.neighbours.shape[1]
     if slot >= k:
         roadmap.goal_edge[a, slot - k] = verdict
@@ -284,18 +323,30 @@ def _settle_edge(roadmap, a, b, verdict):
 
 @kernel(inline="source")
 def _join_nodes(space, roadmap, path, length, ends, states):
-    """Write the states along a path's nodes; their number, or NO_PATH with an edge blocked."""
+    """Check the edges of a path coarsely and write the states along them.
+
+    Args:
+        space: the planning space.
+        roadmap: verdicts on the edges are stored.
+        path: rows of the path's nodes from goal to start.
+        length: number of these nodes.
+        ends: written, number of states up to the end of each edge.
+        states: written.
+
+    Returns:
+        Number of states, or NO_PATH if an edge is blocked.
+    """
     n, size = roadmap.nodes.shape[1], 1
     for j in range(n):
         states[0, j] = roadmap.nodes[path[length - 1], j]
     for i in range(length - 2, -1, -1):
         a, b = path[i + 1], path[i]
-        # of any length: the distance of neighbours is limited anyway
+        # without a limit of the length: neighbours are near each other
         added = bisect_motion(space, roadmap.nodes[a], roadmap.nodes[b], np.inf, states[size:])
         if added == 0:
-            _settle_edge(roadmap, a, b, BLOCKED)
+            _store_verdict(roadmap, a, b, BLOCKED)
             return NO_PATH
-        _settle_edge(roadmap, a, b, FREE)
+        _store_verdict(roadmap, a, b, CHECKED_FREE)
         size += added
         ends[i] = size
     return size
@@ -312,21 +363,21 @@ def search(
     ends: Annotated[np.ndarray, "int64 longest"],
     states: Annotated[np.ndarray, "room n"],
 ):
-    """Find the shortest path that passes the coarse checks; its motions are not checked yet.
+    """Find the shortest path that passes the coarse checks; its motions are not checked finely.
 
     Args:
         space: the planning space.
         roadmap: roadmap and query.
         costs: of edges that are not checked yet.
-        most_searches: at most so many A* searches.
-        drift: nodes that projection moves further than this are left out [rad].
+        most_searches: upper bound of A* searches.
+        drift: nodes that projection moves further than this are blocked [rad].
         path: written, rows of the path's nodes from goal to start.
-        ends: written, where the states of each edge end.
-        states: written.
+        ends: written, number of states up to the end of each edge.
+        states: written, states of the path [rad or m].
 
     Returns:
-        Number of states, or NO_PATH when there is no path, none within most_searches, or no room;
-        number of nodes on the last candidate path; number of searches.
+        Number of states, or NO_PATH when there is no path, none within most_searches, or one with
+        too many nodes; number of nodes on the last candidate path; number of searches.
     """
     length = 0
     for searched in range(most_searches):
@@ -339,7 +390,7 @@ def search(
             return NO_PATH, 0, searched + 1
         good = True
         for i in range(length - 2, 0, -1):
-            # check all nodes: cheaper than another search
+            # check all nodes, also after one that is blocked: cheaper than another search
             if not _node_free(space, roadmap, path[i], drift):
                 good = False
         if not good:
@@ -359,11 +410,16 @@ def block_state(
     length: int,
     state: int,
 ):
-    """Block the edge of the last path found that holds the motion behind one of its states.
+    """Block the edge of the last path found that contains the motion after one of its states.
 
-    path, ends, length: as `search` wrote and returned them.
+    Args:
+        roadmap: changed in place.
+        path: as `search` wrote it.
+        ends: as `search` wrote it.
+        length: number of the path's nodes.
+        state: number of the motion's first state; -1: no edge is blocked.
     """
     for i in range(length - 2, -1, -1):
         if state + 1 < ends[i]:
-            _settle_edge(roadmap, path[i + 1], path[i], BLOCKED)
+            _store_verdict(roadmap, path[i + 1], path[i], BLOCKED)
             return

@@ -1,7 +1,7 @@
-"""A planner by name: how its stages are made, and what it needs.
+"""A named planner: it makes its stages for a problem, and states its requirements.
 
 A planner consists of up to four stages, see `search.planner_interface`. They are made when they are
-used. `planning.planners` is the table of all names.
+first needed. `planning.planners` is the table of all names.
 """
 
 from collections.abc import Callable
@@ -19,40 +19,46 @@ from cvqmpt_lab.sensing.observation import Observer
 
 @dataclass(frozen=True, eq=False)
 class Method:
-    """A named planner: how its stages are made, and what it needs."""
+    """A named planner: it makes its stages for a problem, and states its requirements."""
 
     name: str
-    # makes stages from a problem (its robot and attachments) and a model's name or folder
+    # makes stages from (problem, name or folder of a model); uses only robot and attachments
     build: Callable[[PlanningProblem, str], Stages]
     weights: str | None = None  # kind of weights it needs, a key of `vqmpt.weights.SHIPPED`
-    # why a model cannot serve a problem, of (problem, name or folder of the model); "" if it can
+    # returns the reason why (problem, name or folder of a model) do not fit together, or ""
     misfit: Callable[[PlanningProblem, str], str] | None = None
     # whether it needs charts of the manifold, which exist only with more joints than bounded rows
     needs_charts: bool = False
     model: str | None = None  # name or folder of its weights; None for the shipped ones
-    sampler: Any = None  # the choices that a learned sampler is composed of, else None
+    sampler: Any = None  # `SamplerChoice` of a learned sampler, else None
     external: str = ""  # Python distributions and versions of an external planner
-    grows: bool = True  # whether its search, or what follows a roadmap without a path, is `BiRRT`
+    grows: bool = True  # whether its search is a `BiRRT`
 
     @staticmethod
     def simple(name: str, **stages: Any) -> "Method":
-        """A planner without weights that has the same stages for every problem."""
+        """Return a planner without weights that has the same stages for every problem."""
         fixed = Stages(**stages)
         return Method(name, lambda problem, model: fixed)
 
     def with_model(self, model: str) -> "Method":
-        """The same planner with other weights; InvalidInputError if it uses none."""
+        """Return the same planner with other weights; refuse a planner without weights."""
         if self.weights is None:
             raise InvalidInputError(f"{self.name} uses no weights: leave --model {model} out")
         return replace(self, model=model)
 
     def with_reach(self, reach: float) -> "Method":
-        """The same planner with another longest extension towards a draw [rad]; inf: no limit.
+        """Return the same planner with another longest extension towards a sample.
 
-        InvalidInputError if its search has none, or reach is not above 0.
+        Args:
+            reach: above 0 [rad]; inf: no limit.
+
+        Raises:
+            InvalidInputError: the planner grows no trees, or reach is not above 0.
         """
         if not self.grows:
-            raise InvalidInputError(f"{self.name} has no reach of its own: leave --reach out")
+            raise InvalidInputError(
+                f"{self.name} does not grow the trees of birrt and has no reach: leave --reach out"
+            )
 
         def build(problem: PlanningProblem, model: str) -> Stages:
             stages = self.build(problem, model)
@@ -60,12 +66,16 @@ class Method:
             assert isinstance(search, BiRRT)
             return replace(stages, search=replace(search, reach=reach))
 
-        BiRRT(reach=reach)
+        BiRRT(reach=reach)  # refuses a wrong reach
         sampler = self.sampler and replace(self.sampler, reach=reach)
         return replace(self, build=build, sampler=sampler)
 
     def with_cloud(self, points: np.ndarray) -> "Method":
-        """The same planner on points (p, 3) [m, base frame]; InvalidInputError if it uses none."""
+        """Return the same planner with a given cloud (p, 3) [m, base frame].
+
+        Raises:
+            InvalidInputError: when stages are made, if the planner uses no cloud.
+        """
 
         def build(problem: PlanningProblem, model: str) -> Stages:
             stages = self.build(problem, model)
@@ -77,17 +87,17 @@ class Method:
         return replace(self, build=build)
 
     def incompatibility(self, problem: PlanningProblem) -> str:
-        """Why the planner cannot solve problems of this kind; "" if it can."""
+        """Return the reason why the planner cannot solve problems of this kind, or ""."""
         rows = sum(len(region.bounded_rows) for region in problem.constraint)
         if self.needs_charts and rows >= problem.robot.dof:
             return (
-                f"it needs more joints than the constraint bounds, {problem.robot.dof} joints and "
-                f"{rows} entries"
+                f"it needs more joints than bounded rows of the constraint; there are "
+                f"{problem.robot.dof} joints and {rows} bounded rows"
             )
         if self.weights is None or self.misfit is None:
             return ""
         return self.misfit(problem, self.model or self.weights)
 
     def stages(self, problem: PlanningProblem) -> Stages:
-        """The stages for a problem's robot and attachments; `incompatibility` must be ""."""
+        """Make the stages for a problem's robot and attachments; `incompatibility` must be ""."""
         return self.build(problem, self.model or self.weights or "")

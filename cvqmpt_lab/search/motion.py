@@ -26,15 +26,13 @@ from cvqmpt_lab.robot.kinematics import Kinematics, forward_kinematics
     DRAW_PROJECTIONS,
     DRAW_NEWTON_ITERATIONS,
 ) = range(8)
-DOUBT = 0.2  # [rad] around a doubtful configuration
-STOPPED, ADVANCED, REACHED = range(3)
-# OMPL's lambda: how much longer a projected step may be than planned, a motion than straight
-DEVIATION = 2.0
-GAP = 1.5  # midpoints stop when straight pieces are this many steps long: below DEVIATION
-NEAR_HALF_TURN = 2.8  # [rad] the angle cannot pass pi within one segment from below this
-KINK = 1.25e-3  # [rad] between states checked near that angle, where F may rise to a point anywhere
-SLIVER = 5e-5  # [m] motions are not checked more finely than this
-CLOSE = 1e-9  # [rad] two states closer than this are one
+TRAPPED, ADVANCED, TARGET_REACHED = range(3)  # results of a step, as in RRT-Connect
+# OMPL's lambda: largest ratio of a projected step's length to the planned one, and of a motion's
+# length to the straight distance
+MAX_LENGTH_RATIO = 2.0
+# bisection ends when straight pieces are at most this many steps long; below MAX_LENGTH_RATIO
+MAX_BISECTED_STEPS = 1.5
+SAME_STATE_RAD = 1e-9  # states closer than this are the same
 
 
 class Space(NamedTuple):
@@ -44,18 +42,19 @@ class Space(NamedTuple):
     regions: Regions  # the constraint
     robot: RobotGeometry  # convex pieces
     scene: SceneGeometry  # obstacles
-    tolerance: float  # of |F| after projection [m, rad]
-    chord: float  # |F| allowed on straight motions between two states [m, rad]
-    max_iterations: int  # newton steps per projection
+    tolerance: float  # largest |F| after projection [m, rad]
+    chord: float  # largest |F| on straight motions between two states [m, rad]
+    max_iterations: int  # Newton steps per projection
     step: float  # longest motion between neighbouring states [rad]
     resolution: float  # spacing of the exact backend's final check of a motion [rad]
-    margin: float  # kept from obstacles [m]
+    margin: float  # distance kept from obstacles [m]
     exact: bool  # whether states are checked through the callback
-    check: int  # address of the callback; of an object numba takes 0.5 ms a call to find the type
-    query: Annotated[np.ndarray, "n"]  # through which the callback is asked
-    # blocked by the compiled checker but not by the meshes; near them the callback decides
+    check: int  # address of the callback; numba needs 0.5 ms a call for the type of an object
+    query: Annotated[np.ndarray, "n"]  # configuration that the callback checks
+    # configurations that collide for the compiled checker but not for the exact one; near them the
+    # callback decides
     doubtful: Annotated[np.ndarray, "doubtful n"]
-    # no point of the robot moves further than swing[j] * |dq[j]| when joint j does [m/rad]
+    # when joint j moves by dq[j], no point of the robot moves more than swing[j] * |dq[j]| [m/rad]
     swing: Annotated[np.ndarray, "n"]
     counters: Annotated[np.ndarray, "int64 8"]  # PROJECTIONS to DRAW_NEWTON_ITERATIONS
     state: Annotated[np.ndarray, "n"]  # work array
@@ -70,7 +69,11 @@ class Space(NamedTuple):
 
 @kernel(inline="source")
 def project_state(space, q):
-    """Project q (n,) in place and count it; True on success, with link poses in the scratch."""
+    """Project q (n,) in place and count it.
+
+    Returns:
+        True on success; the scratch then holds the link poses.
+    """
     if space.called:
         space.counters[PROJECTIONS] += 1
         for j in range(q.shape[0]):
@@ -94,19 +97,23 @@ def project_state(space, q):
 
 @kernel(inline="source")
 def _near_doubtful(space, q):
-    """Whether q (n,) lies within DOUBT of a doubtful configuration."""
+    """Whether q (n,) lies close to a doubtful configuration."""
+    radius = 0.2  # [rad]
     for i in range(space.doubtful.shape[0]):
         square = 0.0
         for j in range(q.shape[0]):
             square += (q[j] - space.doubtful[i, j]) * (q[j] - space.doubtful[i, j])
-        if square < DOUBT * DOUBT:
+        if square < radius * radius:
             return True
     return False
 
 
 @kernel(inline="source")
 def posed_state_valid(space, q, clearance):
-    """Whether q, posed in the scratch, keeps margin + clearance [m]; exact: the margin alone."""
+    """Whether q keeps the distance space.margin + clearance [m] from obstacles.
+
+    The scratch holds its link poses. The exact backend checks the margin alone.
+    """
     space.counters[STATE_CHECKS] += 1
     if not space.exact:
         rotation, translation = space.scratch.link_rotation, space.scratch.link_translation
@@ -155,18 +162,18 @@ def step_towards(space, origin, target, longest, out):
 
         q_new = Project(q + min(1, step / |q_target - q|) (q_target - q))
 
-    A step is refused when projection fails, when it is longer than DEVIATION * step or `longest`,
-    does not come closer to the target, or collides.
+    A step is refused when projection fails, when it is longer than MAX_LENGTH_RATIO * step or
+    `longest`, when it does not come closer to the target, or when it collides.
 
     Args:
         space: the planning space.
-        origin: q (n,).
-        target: q_target (n,).
-        longest: of the step [rad].
-        out: (n,), written: q_new when the result is not STOPPED.
+        origin: q (n,) [rad or m].
+        target: q_target (n,) [rad or m].
+        longest: upper bound of the step's length [rad].
+        out: (n,), written: q_new unless the result is TRAPPED.
 
     Returns:
-        STOPPED, ADVANCED or REACHED.
+        TRAPPED, ADVANCED or TARGET_REACHED.
     """
     n = origin.shape[0]
     remaining = distance(origin, target)
@@ -174,14 +181,16 @@ def step_towards(space, origin, target, longest, out):
     for j in range(n):
         out[j] = origin[j] + fraction * (target[j] - origin[j])
     if not project_state(space, out):
-        return STOPPED
+        return TRAPPED
     moved = distance(origin, out)
     left = distance(out, target)
-    if moved > DEVIATION * space.step or moved > longest or left >= remaining or moved < CLOSE:
-        return STOPPED
+    if moved > MAX_LENGTH_RATIO * space.step or moved > longest:
+        return TRAPPED
+    if left >= remaining or moved < SAME_STATE_RAD:
+        return TRAPPED
     if not posed_state_valid(space, out, 0.0):
-        return STOPPED
-    return REACHED if left < CLOSE else ADVANCED
+        return TRAPPED
+    return TARGET_REACHED if left < SAME_STATE_RAD else ADVANCED
 
 
 @entry
@@ -192,22 +201,24 @@ def bisect_motion(
     longest: float,
     out: Annotated[np.ndarray, "capacity n"],
 ):
-    """Join two states on the manifold by projected midpoints, from coarse to fine.
+    """Connect two states on the manifold by projected midpoints, from coarse to fine.
 
-    Between neighbours a and b lies Project((a + b) / 2). Most failures cost few states.
+    Project((a + b) / 2) is inserted between neighbours a and b. Most motions that fail do so after
+    few states.
 
     Args:
         space: the planning space.
-        origin: (n,).
-        target: (n,).
-        longest: motions that become longer are refused [rad].
-        out: written, the states after origin up to target.
+        origin: first state (n,) [rad or m].
+        target: last state (n,) [rad or m].
+        longest: longer motions are refused [rad].
+        out: written, the states after origin, up to and including target.
 
     Returns:
-        Number of states; 0 when one is not projected, collides, or is too far from its neighbour.
+        Number of states; 0 when a projection fails, a state collides, or two neighbours are too far
+        apart.
     """
     pieces = 1
-    while distance(origin, target) > GAP * space.step * pieces:
+    while distance(origin, target) > MAX_BISECTED_STEPS * space.step * pieces:
         pieces *= 2
     if pieces > out.shape[0]:
         return 0
@@ -226,12 +237,12 @@ def bisect_motion(
                 return 0
         stride = half
     length = distance(origin, out[0])
-    if length > DEVIATION * space.step:
+    if length > MAX_LENGTH_RATIO * space.step:
         return 0
     for k in range(1, pieces):
         gap = distance(out[k - 1], out[k])
         length += gap
-        if gap > DEVIATION * space.step or length > longest:
+        if gap > MAX_LENGTH_RATIO * space.step or length > longest:
             return 0
     return pieces
 
@@ -248,11 +259,13 @@ def _place_between(space, a, b, fraction):
 
 @kernel(inline="source")
 def _near_half_turn(space):
-    """Whether a region is turned by almost pi in the state whose residual was computed last."""
+    """Whether the rotation to a region is by almost pi, in the state of the last residual."""
+    # [rad] below this angle, one segment cannot reach pi
+    limit = 2.8
     displacement = space.scratch.displacement
     for k in range(displacement.shape[0]):
         x, y, z = displacement[k, 6], displacement[k, 7], displacement[k, 8]
-        if x * x + y * y + z * z > NEAR_HALF_TURN * NEAR_HALF_TURN:
+        if x * x + y * y + z * z > limit * limit:
             return True
     return False
 
@@ -261,9 +274,10 @@ def _near_half_turn(space):
 def chord_on_manifold(space, a, b):
     """Whether |F| stays below space.chord on the straight motion between states on the manifold.
 
-    The middle is worst, except near the kink of the rotation vector at angle pi: there the motion
-    is checked every KINK.
+    |F| is largest in the middle, except near the kink of the rotation vector at angle pi: there it
+    may have a peak anywhere, and the motion is checked in small steps.
     """
+    spacing = 1.25e-3  # [rad] of these steps
     scratch = space.scratch
     if space.called:
         for j in range(a.shape[0]):
@@ -286,7 +300,7 @@ def chord_on_manifold(space, a, b):
             return False
         k += 1
         if pieces == 2 and _near_half_turn(space):
-            k, pieces = 1, max(3, int(np.ceil(distance(a, b) / KINK)))
+            k, pieces = 1, max(3, int(np.ceil(distance(a, b) / spacing)))
     return True
 
 
@@ -294,15 +308,16 @@ def chord_on_manifold(space, a, b):
 def motion_free(space: Space, a: Annotated[np.ndarray, "n"], b: Annotated[np.ndarray, "n"]):
     """Whether b and every state of the straight joint motion towards it are free of collision.
 
-    A stretch with change dq is free when the robot at its middle keeps the distance that no point
-    can exceed in half the stretch (Schwarzer, Saha and Latombe 2005):
+    A stretch with change dq is free if the distance from obstacles at its middle is larger than the
+    way of any point of the robot in half the stretch (Schwarzer, Saha and Latombe 2005):
 
         d(q_middle) > 1/2 sum_j swing_j |dq_j|
 
-    Other stretches are halved until that distance is at most the margin that every free state
-    keeps. The exact backend knows no distances: it checks states every space.resolution.
+    Other stretches are halved until that way is at most the margin that every free state keeps. The
+    exact backend computes no distances: it checks states every space.resolution.
     """
-    pieces, sweep = 1, 0.0  # [m] no point moves further than sweep
+    finest = 5e-5  # [m] smallest way of a point between states that are checked
+    pieces, sweep = 1, 0.0  # sweep [m]: upper bound of the way of any point
     for j in range(a.shape[0]):
         sweep += abs(b[j] - a[j]) * space.swing[j]
     if not sweep < np.inf:
@@ -311,10 +326,11 @@ def motion_free(space: Space, a: Annotated[np.ndarray, "n"], b: Annotated[np.nda
         while distance(a, b) > space.resolution * pieces:
             pieces *= 2
     else:
-        while 0.5 * sweep > max(space.margin, SLIVER) * pieces:
+        while 0.5 * sweep > max(space.margin, finest) * pieces:
             pieces *= 2
     widest = 1 if space.exact else pieces
-    done, span = -1, 1  # pieces found free, after the end itself; length of the stretch checked
+    # the end b is checked first, then `span` pieces at a time; the first `done` pieces are free
+    done, span = -1, 1
     while done < pieces:
         place = 1.0 if done < 0 else (done + (1.0 if space.exact else 0.5 * span)) / pieces
         clearance = 0.0 if span == 1 else 0.5 * sweep * span / pieces
@@ -324,7 +340,7 @@ def motion_free(space: Space, a: Annotated[np.ndarray, "n"], b: Annotated[np.nda
             free = posed_state_valid(space, space.state, clearance)
         if free:
             done += span
-            # as far as the tree of halves allows
+            # the largest stretch that begins here in the binary subdivision
             span = min(done & -done, widest) if done > 0 else widest
         elif span == 1:
             return False
@@ -343,13 +359,18 @@ def segment_valid(space, a, b):
 def refine_and_check(
     space: Space, states: Annotated[np.ndarray, "count n"], out: Annotated[np.ndarray, "capacity n"]
 ):
-    """Copy a path into out, with projected states put in until every straight motion is good.
+    """Copy a path, insert projected states where it leaves the manifold, and check every motion.
+
+    Args:
+        space: the planning space.
+        states: the path (m, n) [rad or m].
+        out: (capacity, n), written.
 
     Returns:
         Number of states in out, and the first segment that cannot be refined or is not free, or -1.
     """
     count, n = states.shape
-    most_halvings = 8  # of a segment
+    most_halvings = 8  # per segment
     for j in range(n):
         out[0, j] = states[0, j]
     written, i = 1, 1
@@ -361,7 +382,9 @@ def refine_and_check(
         halvings = 0
         while distance(
             out[written - 1], out[written]
-        ) > DEVIATION * space.step or not chord_on_manifold(space, out[written - 1], out[written]):
+        ) > MAX_LENGTH_RATIO * space.step or not chord_on_manifold(
+            space, out[written - 1], out[written]
+        ):
             for j in range(n):
                 out[written, j] = 0.5 * (out[written - 1, j] + out[written, j])
             halvings += 1
@@ -388,14 +411,14 @@ def edge_verdicts(
 
     Args:
         space: the planning space.
-        nodes: (k, n) [rad].
-        edges: (e, 2), rows of nodes.
+        nodes: configurations (k, n) [rad or m].
+        edges: (e, 2), pairs of rows of nodes.
         node_free: (k,), written.
-        edge_free: (e,), written; edges that come in as False count as blocked.
-        most_checks: at most so many state checks.
+        edge_free: (e,), written; edges that are False before the call stay blocked.
+        most_checks: upper bound of state checks.
 
     Returns:
-        Whether all was checked.
+        False if the check ended early because most_checks was reached.
     """
     checks = space.counters[STATE_CHECKS] + most_checks
     for i in range(nodes.shape[0]):

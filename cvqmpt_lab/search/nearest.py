@@ -1,9 +1,9 @@
 """The nearest node of a growing tree, exactly, in sub-linear time.
 
-Nodes are indexed in blocks of BLOCK by their number. Blocks are merged as in a binary counter: 13
-blocks make balanced search trees over the first 8, the next 4 and the last one (Bentley and Saxe
-1980, "Decomposable searching problems"). Nodes after the last block are compared one by one, so
-small trees are searched without an index.
+Nodes are indexed in blocks of NODES_PER_BLOCK, in the order of their numbers. Blocks are merged as
+in a binary counter: 13 blocks make three balanced search trees, over the first 8, the next 4 and
+the last one (Bentley and Saxe 1980, "Decomposable searching problems"). Nodes after the last block
+are compared one by one, so small trees are searched without an index.
 """
 
 from typing import Annotated, NamedTuple
@@ -12,28 +12,29 @@ import numpy as np
 
 from cvqmpt_lab.base.jit import kernel
 
-BLOCK = 1024  # nodes
-LEAF = 16  # nodes in a leaf; BLOCK is LEAF times a power of two
+NODES_PER_BLOCK = 1024  # NODES_PER_LEAF times a power of two
+NODES_PER_LEAF = 16
 
 
 class NearestIndex(NamedTuple):
     """Balanced search trees over the nodes of two growing trees, and work arrays of a search."""
 
-    # node numbers, sorted by leaves within each search tree
+    # node numbers; those of a leaf are neighbours
     order: Annotated[np.ndarray, "int32 2 capacity"]
     # lower and upper corner of the nodes below each inner node and leaf, heap by heap [rad or m]
     box: Annotated[np.ndarray, "2 boxes 2 n"]
-    indexed: Annotated[np.ndarray, "int64 2"]  # nodes in the index, a multiple of BLOCK
-    stack: Annotated[np.ndarray, "int64 levels"]  # boxes still to be searched
-    bound: Annotated[np.ndarray, "levels"]  # squared distances of these
+    indexed: Annotated[np.ndarray, "int64 2"]  # nodes in the index, a multiple of NODES_PER_BLOCK
+    stack: Annotated[np.ndarray, "int64 levels"]  # work array: boxes still to be searched
+    bound: Annotated[np.ndarray, "levels"]  # work array: their squared distances [rad^2]
 
 
 def nearest_index(capacity: int, n: int) -> NearestIndex:
-    """An empty index for `capacity` nodes of n joints."""
-    capacity = BLOCK * -(-capacity // BLOCK)
+    """Return an empty index for `capacity` nodes of n joints."""
+    blocks = -(-capacity // NODES_PER_BLOCK)  # rounded up
+    capacity = NODES_PER_BLOCK * blocks
     return NearestIndex(
         np.zeros((2, capacity), dtype=np.int32),
-        np.empty((2, 2 * capacity // LEAF, 2, n)),
+        np.empty((2, 2 * capacity // NODES_PER_LEAF, 2, n)),
         np.zeros(2, dtype=np.int64),
         np.zeros(64, dtype=np.int64),
         np.zeros(64),
@@ -41,7 +42,7 @@ def nearest_index(capacity: int, n: int) -> NearestIndex:
 
 
 def enlarged_index(index: NearestIndex, capacity: int) -> NearestIndex:
-    """The same index for `capacity` nodes."""
+    """Return a copy of the index with space for `capacity` nodes."""
     larger = nearest_index(capacity, index.box.shape[3])
     larger.order[:, : index.order.shape[1]] = index.order
     larger.box[:, : index.box.shape[1]] = index.box
@@ -75,11 +76,19 @@ def _split(nodes, order, first, last, axis):
 
 @kernel
 def _build(nodes, order, box, first, count):
-    """Make a search tree over nodes first to first + count - 1; its boxes are box[1:]."""
+    """Build a search tree over the nodes from `first` to `first + count - 1`.
+
+    Args:
+        nodes: configurations (capacity, n) [rad or m].
+        order: node numbers (capacity,), written from `first` on.
+        box: corners (2 count / NODES_PER_LEAF, 2, n), written from row 1 on.
+        first: first node.
+        count: number of nodes.
+    """
     n = nodes.shape[1]
     for k in range(first, first + count):
         order[k] = k
-    leaves = count // LEAF
+    leaves = count // NODES_PER_LEAF
     for i in range(1, 2 * leaves):
         level = 1
         while 2 * level <= i:
@@ -100,13 +109,22 @@ def _build(nodes, order, box, first, count):
 
 @kernel
 def index_new_nodes(index, tree, nodes, size):
-    """Add the whole blocks among the first `size` nodes (capacity, n) of a tree to the index."""
-    while index.indexed[tree] + BLOCK <= size:
-        end = index.indexed[tree] // BLOCK + 1
-        count = (end & -end) * BLOCK
-        first = end * BLOCK - count
-        _build(nodes, index.order[tree], index.box[tree, 2 * first // LEAF :], first, count)
-        index.indexed[tree] = end * BLOCK
+    """Add all complete blocks of a tree's nodes to its index.
+
+    Args:
+        index: changed in place.
+        tree: 0 or 1.
+        nodes: configurations (capacity, n) [rad or m].
+        size: number of nodes that the tree has.
+    """
+    while index.indexed[tree] + NODES_PER_BLOCK <= size:
+        end = index.indexed[tree] // NODES_PER_BLOCK + 1
+        # the lowest set bit of `end`: the blocks that merge into one search tree
+        count = (end & -end) * NODES_PER_BLOCK
+        first = end * NODES_PER_BLOCK - count
+        box = index.box[tree, 2 * first // NODES_PER_LEAF :]
+        _build(nodes, index.order[tree], box, first, count)
+        index.indexed[tree] = end * NODES_PER_BLOCK
 
 
 @kernel(inline="machine")
@@ -121,20 +139,34 @@ def _square(nodes, i, target):
 
 @kernel(inline="machine")
 def _square_of_box(box, i, target):
-    """Squared distance of a box from target (n,), at most that of any node in it."""
+    """Squared distance of a box from target (n,): a lower bound for the nodes in it."""
     square = 0.0
     for j in range(target.shape[0]):
         outside = max(max(box[i, 0, j] - target[j], target[j] - box[i, 1, j]), 0.0)
         square += outside * outside
-    # lowered, so that rounding never makes it too large
+    # rounding must not make the lower bound too large
     return (1.0 - 1e-12) * square
 
 
 @kernel
 def _search(index, tree, nodes, target, first, count, best, nearest):
-    """Improve the squared distance and the number of the nearest node by one search tree."""
-    order, box = index.order[tree], index.box[tree, 2 * first // LEAF :]
-    leaves, depth = count // LEAF, 1
+    """Search one search tree for a node nearer than `nearest`.
+
+    Args:
+        index: of both trees' nodes.
+        tree: 0 or 1.
+        nodes: configurations (capacity, n) [rad or m].
+        target: (n,) [rad or m].
+        first: first node of the search tree.
+        count: number of its nodes.
+        best: squared distance of the nearest node so far [rad^2].
+        nearest: number of the nearest node so far.
+
+    Returns:
+        Squared distance and number of the nearest node now.
+    """
+    order, box = index.order[tree], index.box[tree, 2 * first // NODES_PER_LEAF :]
+    leaves, depth = count // NODES_PER_LEAF, 1
     index.stack[0], index.bound[0] = 1, _square_of_box(box, 1, target)
     while depth > 0:
         depth -= 1
@@ -150,8 +182,8 @@ def _search(index, tree, nodes, target, first, count, best, nearest):
                 index.stack[depth], index.bound[depth] = far, rest
                 depth += 1
             i = near
-        begin = first + (i - leaves) * LEAF
-        for k in range(begin, begin + LEAF):
+        begin = first + (i - leaves) * NODES_PER_LEAF
+        for k in range(begin, begin + NODES_PER_LEAF):
             square = _square(nodes, order[k], target)
             if square < best or (square == best and order[k] < nearest):
                 best, nearest = square, np.int64(order[k])
@@ -160,7 +192,15 @@ def _search(index, tree, nodes, target, first, count, best, nearest):
 
 @kernel
 def nearest_node(index, tree, nodes, size, target):
-    """The row argmin_i |nodes_i - target| among the first `size`; the first of equals."""
+    """Return argmin_i |nodes_i - target|; of several nearest nodes, the one with the lowest number.
+
+    Args:
+        index: of both trees' nodes.
+        tree: 0 or 1.
+        nodes: configurations (capacity, n) [rad or m].
+        size: number of nodes that the tree has.
+        target: (n,) [rad or m].
+    """
     best, nearest = np.inf, np.int64(0)
     for i in range(index.indexed[tree], size):
         square = _square(nodes, i, target)
@@ -168,7 +208,7 @@ def nearest_node(index, tree, nodes, size, target):
             best, nearest = square, np.int64(i)
     first, left = np.int64(0), index.indexed[tree]
     while left > 0:
-        count = np.int64(BLOCK)
+        count = np.int64(NODES_PER_BLOCK)
         while 2 * count <= left:
             count *= 2
         best, nearest = _search(index, tree, nodes, target, first, count, best, nearest)

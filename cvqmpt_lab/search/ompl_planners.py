@@ -1,10 +1,10 @@
 """The paper's baselines from OMPL: RRTConnect on projected, atlas and tangent-bundle spaces.
 
-BKPIECE1 on the projected space, over what the constraint leaves free, is one more.
+There is also BKPIECE1 on the projected space, with cells over the free rows of the constraint.
 
-No other file of the package imports ompl. Projection, residual, Jacobian and state checks are the
-kernels of `birrt`; parameters are those of the published experiment code. Without a constraint, as
-in some phases of tasks, all three are RRTConnect on the joints' space.
+Only this file imports ompl. Projection, residual, Jacobian and state checks are the kernels that
+`birrt` uses; parameters are those of the published experiment code. Without a constraint, as in
+some phases of tasks, all three baselines are RRTConnect in the joint space.
 """
 
 import math
@@ -25,7 +25,7 @@ from cvqmpt_lab.search.space import ConstrainedSpace
 
 ou.setLogLevel(ou.LogLevel.LOG_NONE)
 
-DELTA = 0.05  # manifold step [rad]
+OMPL_STEP_RAD = 0.05  # step along the manifold, delta in OMPL
 
 
 class _Manifold(ob.Constraint):
@@ -36,16 +36,16 @@ class _Manifold(ob.Constraint):
         self._space = space
 
     def function(self, x: np.ndarray, out: np.ndarray) -> None:
-        """F(x) at a configuration x (n,)."""
+        """Write F(x) at a configuration x (n,)."""
         out[:] = self._space.residual_and_jacobian(np.array(x))[0]
 
     def jacobian(self, x: np.ndarray, out: np.ndarray) -> None:
-        """dF/dx with all rows (tangent spaces need full rank); counts as a Newton iteration."""
+        """Write dF/dx with all rows (tangent spaces need full rank); counts as a Newton step."""
         self._space.arrays.counters[NEWTON_ITERATIONS] += 1
         out[:, :] = self._space.residual_and_jacobian(np.array(x), full=True)[1]
 
     def project(self, x: np.ndarray) -> bool:
-        """Move x onto the manifold."""
+        """Project x (n,) in place; True on success."""
         q = np.array(x)
         if not self._space.project(q):
             return False
@@ -54,9 +54,9 @@ class _Manifold(ob.Constraint):
 
 
 class _FreeRows(ob.ProjectionEvaluator):
-    """At most three rows that the constraint leaves free; joints where it leaves none.
+    """Coordinates of BKPIECE1's cells: up to three free rows of the constraint, else three joints.
 
-    OMPL has one size of cells: the middle one of `cell_grids`.
+    OMPL allows one size of cells: the middle one of `cell_grids`.
     """
 
     def __init__(self, states: ob.StateSpace, space: ConstrainedSpace) -> None:
@@ -70,7 +70,7 @@ class _FreeRows(ob.ProjectionEvaluator):
             self.setCellSizes(i, float(span) / 16.0)
 
     def getDimension(self) -> int:
-        """Number of coordinates."""
+        """Return the number of coordinates."""
         return len(self._rows) or min(3, len(self._q))
 
     def project(self, state, projection) -> None:
@@ -91,12 +91,12 @@ class _FreeRows(ob.ProjectionEvaluator):
 class OmplSearch:
     """RRTConnect, or BKPIECE1, on one of OMPL's constrained state spaces.
 
-    OMPL 2.0.1 has no hook for a sampler: the distribution given to `search` is not used, and the
-    result says which one was.
+    OMPL 2.0.1 accepts no sampler: the distribution given to `search` is not used, and the result
+    states the one that was.
     """
 
     manifold: str  # "projected", "atlas" or "tangent-bundle"
-    kpiece: bool = False  # BKPIECE1 over what the constraint leaves free, in place of RRTConnect
+    kpiece: bool = False  # BKPIECE1 with cells over the free rows, in place of RRTConnect
 
     def search(
         self,
@@ -107,7 +107,7 @@ class OmplSearch:
         budget: Budget,
         rng: np.random.Generator,
     ) -> PlanResult:
-        """Search a path from start (n,) to any row of goals (k, n); see `Search`."""
+        """Search a path from the start to any goal; the arguments are those of `Search.search`."""
         began = time.perf_counter()
         before = space.counters
         ou.RNG.setSeed(int(rng.integers(1, 2**31)))
@@ -144,14 +144,15 @@ class _Run:
             )
         else:
             self._states, information = _joint_space(space), ob.SpaceInformation
-            self._states.setLongestValidSegmentFraction(DELTA / self._states.getMaximumExtent())
+            fraction = OMPL_STEP_RAD / self._states.getMaximumExtent()
+            self._states.setLongestValidSegmentFraction(fraction)
         self.charts = space.dim > 0 and manifold != "projected"
         self._information = information(self._states)
         self._information.setStateValidityChecker(_validity(space))
         self._information.setup()
         self._problem = ob.ProblemDefinition(self._information)
-        self._moved: dict[bytes, np.ndarray] = {}  # projected start or goal -> the one asked for
-        # one for all: its numbers are freed neither by Python nor by us
+        self._moved: dict[bytes, np.ndarray] = {}  # projected start or goal -> the given one
+        # a single state, because the binding never frees the memory of one
         self._given = self._states.allocState()
         self._problem.addStartState(self._state(self._inside(start)))
         goal = ob.GoalStates(self._information)
@@ -160,16 +161,17 @@ class _Run:
         self._problem.setGoal(goal)
         self._planner = (og.BKPIECE1 if kpiece else og.RRTConnect)(self._information)
         if kpiece:
-            self._projection = _FreeRows(self._states, space)  # held: OMPL does not keep it alive
+            self._projection = _FreeRows(self._states, space)  # OMPL does not keep it alive
             self._planner.setProjectionEvaluator(self._projection)
         self._planner.setProblemDefinition(self._problem)
         self._planner.setup()
         self.vertices = 0
 
     def _inside(self, q: np.ndarray) -> np.ndarray:
-        """The configuration, or its projection when it lies outside the tightened bounds.
+        """Return a configuration, or its projection if it is outside the tightened bounds.
 
-        OMPL refuses a start or goal off its manifold; the motion there becomes part of the path.
+        OMPL refuses a start or goal off its manifold. The motion between the configuration and its
+        projection becomes part of the path.
         """
         moved = np.array(q)
         residual, _ = self._space.residual_and_jacobian(moved)
@@ -181,7 +183,7 @@ class _Run:
         return moved
 
     def _state(self, q: np.ndarray):
-        """An OMPL state at q with its chart, to be copied before the next is made."""
+        """Return an OMPL state at q with its chart; copy it before the next call."""
         if self._space.dim:
             self._given.copy([float(x) for x in q])
         else:
@@ -221,7 +223,10 @@ class _Run:
         return PlanStatus.TIMEOUT if late else PlanStatus.ITERATION_LIMIT, None
 
     def _dense_path(self) -> JointPath | None:
-        """The solution interpolated along the manifold every DELTA, every state projected."""
+        """Return the solution with projected states every OMPL_STEP_RAD, or None if it fails.
+
+        The path must pass the fine check.
+        """
         solution = self._problem.getSolutionPath()
         solution.interpolate()
         joints = range(self._space.robot.dof)
@@ -235,9 +240,10 @@ class _Run:
 
 
 def _validity(space: ConstrainedSpace) -> Callable[..., bool]:
-    """A function: whether a state is inside the limits (OMPL's geodesics ignore them) and free.
+    """Return a function: whether a state is free and inside the limits, which OMPL may leave.
 
-    OMPL holds it unseen by the garbage collector: it must not hold OMPL's objects in return.
+    OMPL keeps a reference that Python's garbage collector does not know: the function must not
+    refer to objects of OMPL.
     """
     lower, upper = space.robot.lower - 1e-9, space.robot.upper + 1e-9
     q = np.empty(space.robot.dof)
@@ -261,8 +267,8 @@ def _joint_space(space: ConstrainedSpace) -> ob.RealVectorStateSpace:
 
 
 def _state_space(manifold: str, joints: ob.RealVectorStateSpace, constraint: _Manifold):
-    """OMPL's constrained state space, with the published experiment code's atlas parameters."""
-    states = STATE_SPACES[manifold](joints, constraint)
+    """Return OMPL's constrained state space with the parameters of the published experiments."""
+    states = OMPL_STATE_SPACES[manifold](joints, constraint)
     if manifold != "projected":
         states.setExploration(0.8)
         states.setEpsilon(0.1)
@@ -272,11 +278,11 @@ def _state_space(manifold: str, joints: ob.RealVectorStateSpace, constraint: _Ma
         states.setBackoff(0.75)
     if manifold == "atlas":
         states.setSeparated(True)
-    states.setDelta(DELTA)
+    states.setDelta(OMPL_STEP_RAD)
     return states
 
 
-STATE_SPACES = {
+OMPL_STATE_SPACES = {
     "projected": ob.ProjectedStateSpace,
     "atlas": ob.AtlasStateSpace,
     "tangent-bundle": ob.TangentBundleStateSpace,

@@ -1,7 +1,7 @@
 """The planner interface: query, sampling distribution, proposal, stages, and the search for a path.
 
-A planner is up to four stages: `observe` a scene, `predict` where to sample, `update` that towards
-the constraint (paper, Algorithm 2), `search` (paper, Algorithm 3).
+A planner has up to four stages: `observe` a scene, `predict` a sampling distribution, `update` it
+towards the constraint (paper, Algorithm 2), and `search` a path (paper, Algorithm 3).
 """
 
 import math
@@ -28,11 +28,11 @@ from cvqmpt_lab.search.space import ConstrainedSpace
 
 
 class SamplingDistribution(Protocol):
-    """Anything that draws configurations."""
+    """A distribution of configurations."""
 
     @property
     def name(self) -> str:
-        """Its name in result rows."""
+        """Name in result rows."""
 
     def sample(self, rng: np.random.Generator, count: int) -> np.ndarray:
         """Draw configurations (count, n) [rad or m]."""
@@ -40,7 +40,7 @@ class SamplingDistribution(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Uniform:
-    """Uniform between the joint limits."""
+    """Uniform distribution between the joint limits."""
 
     lower: np.ndarray  # (n,) [rad or m]
     upper: np.ndarray  # (n,) [rad or m]
@@ -53,7 +53,7 @@ class Uniform:
 
 @dataclass(frozen=True, eq=False)
 class GaussianMixture:
-    """Gaussians, optionally mixed with a uniform distribution U (paper, eqn. sample_dist).
+    """Mixture of Gaussians and, optionally, a uniform distribution U (paper, eqn. sample_dist).
 
     p(q) = (1 - u) sum_i w_i N(q; mu_i, Sigma_i) + u U(q), with the uniform share u.
     """
@@ -61,8 +61,8 @@ class GaussianMixture:
     means: np.ndarray  # (k, n) [rad or m]
     covariances: np.ndarray  # (k, n, n) [rad^2]
     weights: np.ndarray  # (k,), summing to 1
-    uniform: Uniform | None = None  # distribution mixed in
-    # its share in [0, 1]; at 0 a planner is not probabilistically complete
+    uniform: Uniform | None = None
+    # u in [0, 1]; with 0, a planner is not probabilistically complete
     uniform_share: float = 0.0
     name: str = "gaussian-mixture"
 
@@ -75,14 +75,14 @@ class GaussianMixture:
         uniform_share: float,
         name: str,
     ) -> "GaussianMixture | Uniform":
-        """Gaussians of equal weight and a uniform share; uniform alone when there are none.
+        """Return a mixture of Gaussians of equal weight; the uniform distribution if k is 0.
 
         Args:
             means: (k, n) [rad or m].
-            covariances: (k, n, n), or one (n, n) for all means.
-            uniform: distribution mixed in.
-            uniform_share: its share in [0, 1].
-            name: for result rows.
+            covariances: (k, n, n) [rad^2], or one (n, n) for all means.
+            uniform: distribution U.
+            uniform_share: its share u in [0, 1].
+            name: name in result rows.
         """
         k = len(means)
         if k == 0:
@@ -94,8 +94,8 @@ class GaussianMixture:
         k, n = self.means.shape
         if self.covariances.shape != (k, n, n) or self.weights.shape != (k,):
             raise InvalidInputError(
-                f"mixture of {k} means in {n} joints: covariances {self.covariances.shape}, "
-                f"weights {self.weights.shape}"
+                f"mixture of {k} means of {n} joints: covariances {self.covariances.shape} must be "
+                f"({k}, {n}, {n}), weights {self.weights.shape} must be ({k},)"
             )
         if not np.isclose(self.weights.sum(), 1.0) or (self.weights < 0).any():
             raise InvalidInputError(
@@ -116,7 +116,7 @@ class GaussianMixture:
             )
 
     def sample(self, rng: np.random.Generator, count: int) -> np.ndarray:
-        """Draw q = mu_i + L_i eps (count, n), Sigma_i = L_i L_i^T; draws may leave the limits."""
+        """Draw q = mu_i + L_i eps (count, n), Sigma_i = L_i L_i^T; q may be outside the limits."""
         component = rng.choice(len(self.weights), count, p=self.weights)
         noise = rng.standard_normal((count, self.means.shape[1]))
         factors = np.linalg.cholesky(self.covariances)
@@ -128,7 +128,7 @@ class GaussianMixture:
 
 
 def widened(covariances: np.ndarray, std: float) -> np.ndarray:
-    """V max(Lambda, std^2) V^T (c, n, n) of covariances V Lambda V^T."""
+    """Return V max(Lambda, std^2) V^T (c, n, n) of covariances V Lambda V^T [rad^2]."""
     values, vectors = np.linalg.eigh(covariances)
     narrow = values[:, 0] < std * std
     if not narrow.any():
@@ -140,18 +140,18 @@ def widened(covariances: np.ndarray, std: float) -> np.ndarray:
 
 
 class Deadline:
-    """A budget whose clock runs since this object was made; the space counts its iterations."""
+    """A budget whose time starts when this object is made; the space counts its iterations."""
 
     def __init__(self, budget: Budget, space: ConstrainedSpace) -> None:
         self.budget, self._space = budget, space
         self._began = time.perf_counter()
-        # [s] of time.perf_counter(), when seconds are spent
+        # value of time.perf_counter() at which no seconds are left [s]
         self.clock = self._began + (np.inf if budget.seconds is None else budget.seconds)
         self._counters = space.counters
 
     @property
     def seconds(self) -> float:
-        """Used so far [s]."""
+        """Wall time used so far [s]."""
         return time.perf_counter() - self._began
 
     @property
@@ -160,11 +160,11 @@ class Deadline:
         return self._space.counters_since(self._counters)
 
     def count(self, iterations: int = 1) -> None:
-        """Use iterations that no search counts."""
+        """Count iterations that no search counts."""
         self._space.arrays.counters[ITERATIONS] += iterations
 
     def spent(self) -> PlanStatus | None:
-        """The status of a run that has used up its budget; None while something is left."""
+        """Return the status of a run without any budget left; None if budget is left."""
         seconds, iterations = self.budget.seconds, self.budget.iterations
         if seconds is not None and self.seconds >= seconds:
             return PlanStatus.TIMEOUT
@@ -173,10 +173,10 @@ class Deadline:
         return None
 
     def rest(self, share: float = 1.0) -> Budget:
-        """A share of the whole budget, or what is left if less; call `spent` first."""
+        """Return a share of the whole budget, at most what is left of it; call `spent` first."""
         seconds, iterations = self.budget.seconds, self.budget.iterations
         if seconds is not None:
-            # a budget of zero seconds is none
+            # `Budget` refuses 0 seconds
             seconds = max(min(share * seconds, seconds - self.seconds), 1e-3)
         if iterations is not None:
             left = iterations - self.counters.iterations
@@ -186,7 +186,14 @@ class Deadline:
     def result(
         self, path: JointPath | None, trees: tuple[Tree, Tree], sampler: str, detail: str = ""
     ) -> PlanResult:
-        """The result of a search by trees that ends now, for one of the budget's two reasons."""
+        """Return the result of a tree search that ends now.
+
+        Args:
+            path: that was found; None: the budget is spent.
+            trees: from the start and from the goals.
+            sampler: name of the sampling distribution.
+            detail: see `PlanResult.detail`.
+        """
         failed = self.spent() or PlanStatus.ITERATION_LIMIT
         return PlanResult(
             status=PlanStatus.SOLVED if path is not None else failed,
@@ -202,15 +209,15 @@ class Deadline:
 
 @dataclass(frozen=True, eq=False)
 class Query:
-    """What is planned: start, goals, space, budget and random numbers."""
+    """One planning query: start, goals, space, budget and random numbers."""
 
     space: ConstrainedSpace
     start: np.ndarray  # (n,) [rad or m]
-    goals: np.ndarray  # (k, n) [rad or m]; any one will do
-    deadline: Deadline  # shared by prediction and search; its clock runs since the query was made
+    goals: np.ndarray  # (k, n) [rad or m]; a path must reach one of them
+    deadline: Deadline  # shared by prediction and search; its time starts with the query
     rng: np.random.Generator
-    seed: int = 0  # that `rng` came from, for planners with random numbers of their own
-    share: float = 1.0  # of the budget, for one search
+    seed: int = 0  # seed of `rng`, for planners with another random number generator
+    share: float = 1.0  # share of the budget for one search
 
     @classmethod
     def of(
@@ -222,61 +229,60 @@ class Query:
         rng: np.random.Generator,
         seed: int = 0,
     ) -> "Query":
-        """A query whose clock starts now.
+        """Return a query whose time starts now.
 
         Args:
             space: the planning space.
             start: (n,) [rad or m].
             goals: (k, n) [rad or m].
             budget: of prediction and search.
-            rng: random numbers.
-            seed: that `rng` came from.
+            rng: random number generator.
+            seed: seed of `rng`.
         """
         return cls(space, start, goals, Deadline(budget, space), rng, seed)
 
     def one_by_one(self) -> list["Query"]:
-        """A query for each goal, each with an equal share of the budget."""
+        """Return a query for each goal, each with an equal share of the budget."""
         share = 1.0 / len(self.goals)
         return [replace(self, goals=goal[None], share=share) for goal in self.goals]
 
     @property
     def uniform(self) -> Uniform:
-        """Between the robot's limits."""
+        """Uniform distribution between the robot's limits."""
         return Uniform(self.space.robot.lower, self.space.robot.upper)
 
     def nearest_goals(self, count: int) -> np.ndarray:
-        """The goals (at most count, n) nearest to the start, nearest first."""
+        """Return the `count` goals (count, n) nearest to the start, nearest first."""
         distances = np.linalg.norm(self.goals - self.start, axis=1)
         return self.goals[np.argsort(distances, kind="stable")[:count]]
 
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """What a planner has seen of the world."""
+    """Sensor data for a planner."""
 
-    # (m, 3) [m, robot base frame]; None for planners without sensing
+    # point cloud (m, 3) [m, robot base frame]; None for planners without sensing
     cloud: np.ndarray | None = None
-    # False: whatever is computed from the cloud is computed again, and charged
+    # False: results computed from the cloud earlier are computed again, and their time counts
     use_cache: bool = True
 
 
 @dataclass(frozen=True, eq=False)
 class Proposal:
-    """What a search starts from: where to sample, or a path at once."""
+    """Output of the prediction stage: a sampling distribution, or a path."""
 
     distribution: SamplingDistribution
     timings: Timings = field(default_factory=Timings)
-    detail: str = ""  # a few words about it for the result's row
-    fallback: str = ""  # why this is not what the planner's name promises, or ""
-    vertices: int = 0  # nodes of searches made on the way
-    # on the manifold and free: nothing is searched
-    path: JointPath | None = None
-    failure: PlanStatus | None = None  # why searching is pointless, or None
-    as_is: bool = False  # of an external planner, see `PlanResult.as_is`
+    detail: str = ""  # short remark for the result row
+    fallback: str = ""  # another method than the planner's name says, and the reason; or ""
+    vertices: int = 0  # number of nodes of searches during the prediction
+    path: JointPath | None = None  # on the manifold and free; no search follows
+    failure: PlanStatus | None = None  # status of a prediction after which no search can succeed
+    as_is: bool = False  # see `PlanResult.as_is`
 
 
 def uniform(query: Query, observation: Observation) -> Proposal:
-    """Sample anywhere between the joint limits."""
+    """Propose the uniform distribution between the joint limits."""
     return Proposal(query.uniform)
 
 
@@ -292,37 +298,53 @@ class Search(Protocol):
         budget: Budget,
         rng: np.random.Generator,
     ) -> PlanResult:
-        """Search a path from start (n,) to any row of goals (k, n) [rad or m]."""
+        """Search a path from the start to any goal.
+
+        Args:
+            space: the planning space.
+            start: (n,) [rad or m].
+            goals: (k, n) [rad or m].
+            distribution: sampling distribution.
+            budget: of this search.
+            rng: random number generator.
+        """
 
 
-# A free path on the manifold that shortening may make shorter than the best one known, or None, of
-# (query, best path, number of calls before this one). Called while the straight line to a goal is
-# shorter than the best path.
+# Returns a free path on the manifold, which may become shorter than the best path after shortening,
+# or None. Arguments: query, best path, number of earlier calls. It is called as long as the
+# straight line to a goal is shorter than the best path.
 PathSource: TypeAlias = Callable[[Query, JointPath, int], JointPath | None]
 
 
 @dataclass(frozen=True, eq=False)
 class Stages:
-    """The stages of a planner for one robot's problems."""
+    """Stages of a planner for problems of one robot."""
 
     predict: Callable[[Query, Observation], Proposal] = uniform
     search: Search | None = None  # None: `BiRRT`
-    # the cloud (m, 3) [m, base frame]; None: it needs none
+    # returns a point cloud (m, 3) [m, base frame]; None: the planner needs no cloud
     observe: Callable[[Scene], np.ndarray] | None = None
-    # towards the constraint (paper, Algorithm 2)
+    # moves a proposal towards the constraint (paper, Algorithm 2)
     update: Callable[[Query, Proposal], Proposal] | None = None
-    # of shorter paths once there is one; None: restarts of the search
+    # finds other paths for an optimization; None: restarts of the search
     path_source: PathSource | None = None
-    # whether goals are tried one after the other, each with a prediction of its own
+    # whether goals are tried one after the other, with a separate prediction for each
     goals_apart: bool = False
 
 
 def search(
     method: Search, query: Query, proposal: Proposal, near: int = 0, near_share: float = 0.25
 ) -> PlanResult:
-    """Search from a proposal with the rest of the budget; time and work of both are added up.
+    """Search from a proposal with the rest of the budget.
 
-    near: so many nearest goals are tried alone first, for near_share of the budget; 0: none are.
+    The result contains time and work of both prediction and search.
+
+    Args:
+        method: the search.
+        query: start, goals and budget.
+        proposal: sampling distribution or path.
+        near: number of nearest goals that are searched first; 0: all goals are searched at once.
+        near_share: share of the budget for the nearest goals.
     """
     deadline, sampler = query.deadline, proposal.distribution.name
     if proposal.path is not None:
@@ -330,9 +352,11 @@ def search(
     elif (status := proposal.failure or deadline.spent()) is not None:
         result = PlanResult(status, None, 0.0, Counters(), 0, sampler)
     else:
-        vertices, shares = 0, ((near, near_share),) if 0 < near < len(query.goals) else ()
-        for count, share in (*shares, (len(query.goals), 1.0)):
-            goals = query.goals if share == 1.0 else query.nearest_goals(count)
+        vertices = 0
+        parts = [(query.goals, 1.0)]  # goals, and share of the budget
+        if 0 < near < len(query.goals):
+            parts.insert(0, (query.nearest_goals(near), near_share))
+        for goals, share in parts:
             result = method.search(
                 query.space,
                 query.start,

@@ -1,15 +1,15 @@
-"""The search of planners on a roadmap: trees, a roadmap and cells take turns, by counts of work.
+"""The search of the roadmap planners: it alternates between trees, a roadmap and cells.
 
-    1. trees of Algorithm 3 grow for a few iterations: problems that need no roadmap end here;
-    2. the roadmap is searched (`lazy_roadmap`), but for little work;
-    3. the trees grow on, first towards the nodes that the roadmap search found free, then towards
-       draws around them;
-    4. the roadmap is searched on, once more;
-    5. the trees grow on, and take turns with trees that walk from rarely chosen cells
-       (`cell_trees`), which pass narrow passages.
+    1. trees of Algorithm 3 grow for a few iterations: easy problems end here;
+    2. the roadmap is searched (`lazy_roadmap`), with a small limit of work;
+    3. the trees grow further, first towards the nodes that the roadmap search found free, then
+       towards draws around them;
+    4. the roadmap is searched again, with a larger limit of work;
+    5. the trees grow further, in turns with trees that walk from rarely chosen cells
+       (`cell_trees`), which find paths through narrow passages.
 
-No turn is ended by the clock, so the same seed leads to the same path. Numbers were chosen on
-tuning problems, see docs/performance.md.
+Each turn ends by its work, not by the clock, so the same seed leads to the same path. Numbers were
+chosen on tuning problems, see docs/performance.md.
 """
 
 from collections.abc import Callable, Iterator
@@ -21,7 +21,7 @@ import numpy as np
 
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.search.anytime import informed_roadmap_path
-from cvqmpt_lab.search.birrt import BiRRT, GrowingTrees, plant, shown
+from cvqmpt_lab.search.birrt import BiRRT, GrowingTrees, plant, result_trees
 from cvqmpt_lab.search.cell_trees import CellTrees
 from cvqmpt_lab.search.edge_costs import EdgeCosts
 from cvqmpt_lab.search.method import Method
@@ -42,24 +42,28 @@ from cvqmpt_lab.search.roadmap import (
 )
 from cvqmpt_lab.search.space import ConstrainedSpace
 
-Turn: TypeAlias = tuple[str, JointPath | None]  # who had a turn, and the path that it found
+Turn: TypeAlias = tuple[str, JointPath | None]  # name of the search, and the path it found
 
 
 @dataclass(frozen=True, kw_only=True)
 class Portfolio(BiRRT):
-    """Trees, a roadmap and cells in turns; work is that of `ConstrainedSpace.work`."""
+    """Settings of the search by trees, a roadmap and cells in turns.
 
-    roadmap: Roadmap | None  # None: of a closed chain, see `PlanningProblem.closed_chain`
-    name: str  # of paths through the roadmap, in results
-    # of the roadmap's edges in a space
+    Work is in units of `ConstrainedSpace.work`.
+    """
+
+    roadmap: Roadmap | None  # None for a closed chain, see `PlanningProblem.closed_chain`
+    name: str  # name of the sampler in result rows if the roadmap's search finds the path
+    # makes the edge costs in a space
     costs: Callable[[ConstrainedSpace], EdgeCosts] = scene_costs
-    # blocked nodes and edges are known at no cost: a bound of all roadmaps
+    # whether blocked nodes and edges are known at no cost: an upper bound for all roadmaps
     oracle: bool = False
     settings: RoadmapSearchSettings = field(default_factory=RoadmapSearchSettings)
     first: int = 2  # iterations of the trees before the roadmap is searched
-    turns: tuple[float, float] = (1_500, 4_000)  # work of its two turns
+    turns: tuple[float, float] = (1_500, 4_000)  # work of the roadmap's two turns
     between: float = 6_000  # work of the trees between them
-    alone: float = 20_000  # work after which cells take turns, of so much work each
+    # total work before the first turn of the cells, and work of each turn from then on
+    alone: float = 20_000
 
     def search(
         self,
@@ -70,7 +74,7 @@ class Portfolio(BiRRT):
         budget: Budget,
         rng: np.random.Generator,
     ) -> PlanResult:
-        """Search a path from start (n,) to any row of goals (k, n); see `Search`."""
+        """Search a path from the start to any goal; the arguments are those of `Search.search`."""
         run = _Run(self, space, start, goals, distribution, budget, rng)
         turns, path, status = run.turns(), None, None
         while path is None and status is None:
@@ -83,8 +87,8 @@ class Portfolio(BiRRT):
             counters=run.deadline.counters,
             vertices=run.vertices,
             sampler=by,
-            trees=shown(run.trees.trees),
-            detail=run.trees.complaint,
+            trees=result_trees(run.trees.trees),
+            detail=run.trees.warning,
             fallback="" if by == self.name else run.fallback,
         )
 
@@ -107,15 +111,15 @@ class _Run:
         self.deadline = Deadline(budget, space)
         self.trees = GrowingTrees(method, space, plant(start, goals, 4096), distribution, rng)
         self.fallback = ""  # why the roadmap found no path
-        self._others = 0  # nodes elsewhere than in the trees
+        self._others = 0  # number of nodes of roadmap and cells
 
     @property
     def vertices(self) -> int:
-        """Nodes of trees, free ones of the roadmap, and those of cells."""
+        """Number of nodes of the trees and cells, and of free nodes of the roadmap."""
         return int(self.trees.trees.size.sum()) + self._others
 
     def turns(self) -> Iterator[Turn]:
-        """Turn after turn; the caller ends it at a path, or when the budget is spent."""
+        """Yield one turn after another; the caller stops at a path or when the budget is spent."""
         method, began, trees = self._method, self._space.work, self._uniform.name
         yield trees, self._grow(self.trees, np.inf, method.first)
         if method.roadmap is None:
@@ -133,15 +137,17 @@ class _Run:
             yield trees, self._grow(self.trees, method.alone)
 
     def _roadmap_turns(self, roadmap: Roadmap) -> Iterator[Turn]:
-        """The roadmap's two turns, and that of the trees between them."""
+        """Yield the roadmap's two turns, and that of the trees between them."""
         method, space, trees = self._method, self._space, self._uniform.name
         near = roadmap.near(self._ends[0], space.robot)
-        uniform, asked = Uniform(space.robot.lower, space.robot.upper), (near, *self._ends)
-        query = RoadmapQuery(space, *asked, method.settings, method.costs(space))
+        uniform = Uniform(space.robot.lower, space.robot.upper)
+        start, goals = self._ends
+        query = RoadmapQuery(space, near, start, goals, method.settings, method.costs(space))
         if method.oracle:
-            aside = space.again()
-            known = RoadmapQuery(aside, *asked, method.settings, method.costs(aside))
-            known.next_path(Deadline(self.deadline.budget, aside))
+            uncounted = space.again()
+            costs = method.costs(uncounted)
+            known = RoadmapQuery(uncounted, near, start, goals, method.settings, costs)
+            known.next_path(Deadline(self.deadline.budget, uncounted))
             query.avoid(known)
         for work in method.turns:
             path = query.next_path(self.deadline, work)
@@ -159,14 +165,14 @@ class _Run:
     def _grow(
         self, trees: GrowingTrees | CellTrees, work: float, most: int | None = None
     ) -> JointPath | None:
-        """Let trees grow for so much work, at most so many iterations, inside the budget."""
+        """Grow trees within the budget, a limit of work and one of `most` iterations."""
         left = self.deadline.rest().iterations
         iterations = min((count for count in (left, most) if count is not None), default=None)
         return trees.grow(work, iterations, self.deadline.clock)
 
 
 def spread_nodes(problem: PlanningProblem, model: str, draw: int | None = None) -> Roadmap:
-    """The roadmap of a problem's robot that needs no model, see `spread_roadmap`."""
+    """Return the roadmap of a problem's robot by `spread_roadmap`, which needs no model."""
     return spread_roadmap(problem.robot, problem.attachments, draw)
 
 
@@ -178,11 +184,11 @@ def roadmap_planner(
     costs: Callable[[ConstrainedSpace], EdgeCosts] = scene_costs,
     oracle: bool = False,
 ) -> Method:
-    """A planner with trees, a roadmap and cells in turns; no roadmap is made of a closed chain.
+    """Return a planner with trees, a roadmap and cells in turns.
 
     Args:
-        name: of the planner.
-        roadmap: makes the roadmap of (problem, name or folder of a model).
+        name: name of the planner.
+        roadmap: makes the roadmap from (problem, name or folder of a model).
         weights: kind of weights that the roadmap needs, or None.
         misfit: see `Method.misfit`.
         costs: makes the edge costs in a space.
@@ -190,7 +196,7 @@ def roadmap_planner(
     """
 
     def build(problem: PlanningProblem, model: str) -> Stages:
-        # hardly any node lies near the manifold of a closed chain
+        # nearly all nodes are far from the manifold of a closed chain
         nodes = None if problem.closed_chain else roadmap(problem, model)
         return Stages(
             search=Portfolio(roadmap=nodes, name=name, costs=costs, oracle=oracle),

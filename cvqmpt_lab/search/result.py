@@ -14,7 +14,10 @@ from cvqmpt_lab.search.work import search_work
 
 
 class PlanStatus(StrEnum):
-    """How a planning run ended. Everything but SOLVED is a failure with that reason."""
+    """Result of a planning run; everything but SOLVED is a failure.
+
+    `FaultKind` names the faults of a path, `FailReason` joins both for result rows.
+    """
 
     SOLVED = "solved"
     TIMEOUT = "timeout"
@@ -22,15 +25,19 @@ class PlanStatus(StrEnum):
     NO_GOAL = "no_goal"
     INVALID_START = "invalid_start"
     INVALID_GOAL = "invalid_goal"
-    PLANNER_ERROR = "planner_error"  # these and the next three: of external planners
+    # of external planners
+    PLANNER_ERROR = "planner_error"
     MALFORMED_PATH = "malformed_path"
     OVERTIME = "overtime"
-    NO_PATH = "no_path"  # before its time was over
+    NO_PATH = "no_path"  # it returned no path within the budget
 
 
 @dataclass(frozen=True)
 class Budget:
-    """The end of a search: after seconds or iterations (repeatable bit for bit), or the first."""
+    """Limit of a search in seconds, in iterations, or both: the first one ends it.
+
+    Without seconds, results repeat bit for bit.
+    """
 
     seconds: float | None = None
     iterations: int | None = None
@@ -39,14 +46,14 @@ class Budget:
         if self.seconds is None and self.iterations is None:
             raise InvalidInputError("a budget needs seconds, iterations or both")
         if self.iterations is not None:
-            # larger numbers are not exact in json
+            # json represents larger numbers inexactly
             whole = whole_number("budget iterations", self.iterations, 1, 2**53)
             object.__setattr__(self, "iterations", whole)
         if self.seconds is not None and not (isinstance(self.seconds, Real) and self.seconds > 0):
             raise InvalidInputError(f"budget seconds {shown(self.seconds)}: give a number above 0")
 
     def share(self, fraction: float) -> "Budget":
-        """A fraction of it, at least one iteration."""
+        """Return a fraction of this budget, at least one iteration."""
         return Budget(
             None if self.seconds is None else fraction * self.seconds,
             None if self.iterations is None else max(1, round(fraction * self.iterations)),
@@ -54,23 +61,23 @@ class Budget:
 
     @classmethod
     def require(cls, value: Any, what: str = "budget") -> None:
-        """Refuse what is no valid budget; InvalidInputError names it `what`."""
+        """Refuse anything but a budget; `what` is its name in the error message."""
         cure = "give Budget(seconds=...), Budget(iterations=...) or both in one"
         require_kind(what, value, cls, cure)
 
 
 @dataclass(frozen=True)
 class Counters:
-    """Work done, in machine-independent units."""
+    """Numbers of operations, which do not depend on the machine."""
 
     projections: int = 0
     newton_iterations: int = 0
     state_checks: int = 0
     iterations: int = 0
-    # states whose clearance was read from a distance field: approximate checks, which free no path
+    # clearances read from a distance grid; they guide the search and are no collision checks
     clearances: int = 0
-    extensions: int = 0  # of trees, that added nodes: so many ends; roots are none
-    # of draws, before trees extend towards them: a part of projections and newton_iterations
+    extensions: int = 0  # number of tree extensions that added at least one node
+    # parts of `projections` and `newton_iterations`: projections of draws
     draw_projections: int = 0
     draw_newton_iterations: int = 0
 
@@ -82,11 +89,11 @@ class Counters:
 
 @dataclass(frozen=True)
 class Timings:
-    """Parts of a planning run that are not search [s]; None where a planner has no such part."""
+    """Times of the parts of a planning run before the search [s]; None: there is no such part."""
 
-    encode: float | None = None  # from the point cloud to what the network keeps of it
-    predict: float | None = None  # from start and goals to configurations or distributions
-    optimize: float | None = None  # moving those towards the constraint
+    encode: float | None = None  # point cloud to scene embedding
+    predict: float | None = None  # start and goals to configurations or distributions
+    optimize: float | None = None  # latent update towards the constraint
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
@@ -96,14 +103,12 @@ class Timings:
                 )
 
     def __add__(self, other: "Timings") -> "Timings":
-        """Sums of the parts; None where neither has one."""
-        pairs = {name: (value, vars(other)[name]) for name, value in vars(self).items()}
-        return Timings(
-            **{
-                name: None if a is b is None else (a or 0.0) + (b or 0.0)
-                for name, (a, b) in pairs.items()
-            }
-        )
+        """Sum of each part; None where both are None."""
+        sums: dict[str, float | None] = {}
+        for name, own in vars(self).items():
+            more = vars(other)[name]
+            sums[name] = None if own is None and more is None else (own or 0.0) + (more or 0.0)
+        return Timings(**sums)
 
     @property
     def total(self) -> float:
@@ -126,7 +131,7 @@ class JointPath:
         return float(step_lengths(self.states).sum())
 
     def spaced(self, spacing: float) -> np.ndarray:
-        """States (k, n), k >= 2, evenly along the path at most `spacing` [rad] apart, with ends."""
+        """Return evenly spaced states (k, n) from start to end, at most `spacing` [rad] apart."""
         return evenly_along(self.states, spacing)
 
 
@@ -146,17 +151,20 @@ class PlanResult:
     path: JointPath | None  # None unless the status is SOLVED
     seconds: float  # wall time of the whole run, networks included
     counters: Counters
-    vertices: int  # nodes in all trees
-    sampler: str  # name of the distribution used
+    vertices: int  # number of nodes of all trees and roadmaps
+    sampler: str  # name of the sampling distribution
     trees: tuple[Tree, ...] = field(default=(), repr=False)
-    detail: str = ""  # a few words more, e.g. about a failure
-    # what found the path, and why, if that is not what the planner's name says; else ""
+    detail: str = ""  # short remark, for example about a failure
+    # another method than the planner's name says that found the path, and the reason; else ""
     fallback: str = ""
-    timings: Timings = field(default_factory=Timings)  # which of the seconds were not search
-    as_is: bool = False  # the path of an external planner, certified as it is
+    timings: Timings = field(default_factory=Timings)  # parts of `seconds` before the search
+    as_is: bool = False  # path of an external planner: it is certified without shortening
 
     def after(self, earlier: "PlanResult | None") -> "PlanResult":
-        """This result of a run that searched before; seconds and counters are of the whole run."""
+        """Return this result with vertices and timings of an earlier search of the same run added.
+
+        Seconds and counters are those of the whole run already.
+        """
         if earlier is None:
             return self
         vertices, timings = earlier.vertices + self.vertices, earlier.timings + self.timings
@@ -164,5 +172,5 @@ class PlanResult:
 
     @property
     def search_seconds(self) -> float:
-        """Wall time without that of `timings`."""
+        """Wall time of the search [s], without `timings`."""
         return max(0.0, self.seconds - self.timings.total)

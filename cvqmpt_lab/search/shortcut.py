@@ -11,14 +11,12 @@ from cvqmpt_lab.search.motion import Space, bisect_motion, distance, segment_val
 from cvqmpt_lab.search.result import Counters, JointPath
 from cvqmpt_lab.search.space import ConstrainedSpace
 
-KEEP = 0.999  # a shortcut must be shorter than this share of what it replaces
-ROUND = 16  # shortcuts tried before the clock is read
-SWEEP = 112  # shortcuts from the longest to the shortest
+SHORTCUTS_PER_SWEEP = 112  # from the longest to the shortest
 
 
 @kernel
 def path_length(states, count):
-    """sum_i |q_(i+1) - q_i| over the first count rows of states (k, n) [rad]."""
+    """Return sum_i |q_(i+1) - q_i| [rad] of the first `count` rows of states (k, n)."""
     total = 0.0
     for i in range(count - 1):
         total += distance(states[i], states[i + 1])
@@ -27,7 +25,7 @@ def path_length(states, count):
 
 @kernel
 def _locate(states, count, along):
-    """Index of the state nearest before arc length along [rad]."""
+    """Return the index of the last state before the arc length `along` [rad]."""
     total = 0.0
     for i in range(count - 1):
         total += distance(states[i], states[i + 1])
@@ -38,7 +36,11 @@ def _locate(states, count, along):
 
 @kernel
 def _replace(states, count, a, b, detour, size):
-    """Put detour (size rows, the last one is states[b]) after states[a]; return the new count."""
+    """Replace states a + 1 to b by the first `size` rows of detour, whose last one is states[b].
+
+    Returns:
+        The new number of states.
+    """
     shift = a + size - b
     n = states.shape[1]
     if shift > 0:
@@ -57,15 +59,20 @@ def _replace(states, count, a, b, detour, size):
 
 @kernel(inline="source")
 def _shorter_motion(space, states, a, b, detour):
-    """Write a direct, free, shorter motion between two states into detour; its size or 0."""
+    """Write a direct, free, shorter motion from state a to state b into detour.
+
+    Returns:
+        The number of its states; 0 if there is none.
+    """
+    share = 0.999  # largest ratio of the new length to the old one
     if b - a < 2:
         return 0
     old = 0.0
     for i in range(a, b):
         old += distance(states[i], states[i + 1])
-    if distance(states[a], states[b]) > KEEP * old:
+    if distance(states[a], states[b]) > share * old:
         return 0
-    size = bisect_motion(space, states[a], states[b], KEEP * old, detour)
+    size = bisect_motion(space, states[a], states[b], share * old, detour)
     for i in range(size):
         if not segment_valid(space, states[a] if i == 0 else detour[i - 1], detour[i]):
             return 0
@@ -80,10 +87,17 @@ def shortcut(
     picks: Annotated[np.ndarray, "tries 2"],
     detour: Annotated[np.ndarray, "room n"],
 ):
-    """Try one shortcut per row of picks (m, 2), two fractions of the path's length in [0, 1].
+    """Try one shortcut for each row of picks; new motions are projected and checked finely.
 
-    Motions put in are projected and checked at space.resolution. states: (capacity, n), its first
-    count rows are the path, changed in place. detour: (k, n) room. Returns the number of states.
+    Args:
+        space: the planning space.
+        states: (capacity, n) [rad or m]; the first `count` rows are the path, changed in place.
+        count: number of the path's states.
+        picks: (m, 2), ends of the shortcuts as fractions of the path's length, in [0, 1].
+        detour: (k, n), work array for one new motion.
+
+    Returns:
+        The new number of the path's states.
     """
     for i in range(picks.shape[0]):
         length = path_length(states, count)
@@ -98,36 +112,37 @@ def shortcut(
 
 @dataclass(frozen=True)
 class Simplified:
-    """A shorter path and what it took."""
+    """A path after `simplify`, and its cost."""
 
-    path: JointPath  # the shorter path
-    seconds: float  # wall time [s]
-    counters: Counters  # work done
+    path: JointPath
+    seconds: float  # wall time of the simplification [s]
+    counters: Counters  # work of the simplification
 
 
 def simplify(
     space: ConstrainedSpace,
     path: JointPath,
     rng: np.random.Generator,
-    attempts: int = SWEEP,
+    attempts: int = SHORTCUTS_PER_SWEEP,
     seconds: float = np.inf,
     patience: int = 4,
     gain: float = 0.002,
 ) -> Simplified:
     """Replace stretches of a path by direct projected motions as long as that shortens it.
 
-    Start and goal stay; every motion put in is on the manifold and checked at the fine resolution.
-    Without seconds the result depends on path and random numbers alone.
+    Start and goal stay. Every new motion is on the manifold and checked at the fine resolution.
+    Without a limit in seconds, the result depends only on the path and the random numbers.
 
     Args:
         space: the planning space.
         path: on the manifold and free.
-        rng: random numbers.
-        attempts: shortcuts tried at most.
-        seconds: wall time at most [s].
-        patience: rounds of ROUND shortcuts without gain after which it stops.
-        gain: relative, in length.
+        rng: random number generator.
+        attempts: maximum number of shortcuts.
+        seconds: maximum wall time [s].
+        patience: number of rounds of 16 shortcuts without gain after which it stops.
+        gain: relative reduction of the length that counts as a gain.
     """
+    shortcuts_per_round = 16  # the clock is read after each round
     began = time.perf_counter()
     before = space.counters
     capacity = 2 * len(path.states) + 1024
@@ -136,7 +151,7 @@ def simplify(
     detour = np.empty((capacity, space.robot.dof))
     count, length, stale, tried = len(path.states), path.length, 0, 0
     while tried < attempts and stale < patience and time.perf_counter() - began <= seconds:
-        picks = _picks(rng, tried, min(ROUND, attempts - tried))
+        picks = _picks(rng, tried, min(shortcuts_per_round, attempts - tried))
         count = shortcut.unchecked(space.arrays, states, count, picks, detour)
         space.reraise()
         tried += len(picks)
@@ -156,11 +171,17 @@ def _picks(
     shortest: float = 0.05,
     spread: float = 0.3,
 ) -> np.ndarray:
-    """Ends (count, 2) of the next shortcuts, as shares of the path's length.
+    """Draw the ends (count, 2) of the next shortcuts, as shares of the path's length.
 
-    Spans fall from the longest to the shortest in a sweep, each varied by up to `spread`.
+    Args:
+        rng: random number generator.
+        tried: number of shortcuts drawn before.
+        count: number of shortcuts.
+        longest: span of the first shortcut of a sweep.
+        shortest: span of the last one.
+        spread: largest relative change of a span.
     """
-    swept = (tried + np.arange(count)) % SWEEP / SWEEP
+    swept = (tried + np.arange(count)) % SHORTCUTS_PER_SWEEP / SHORTCUTS_PER_SWEEP
     spans = longest * (shortest / longest) ** swept * rng.uniform(1.0 - spread, 1.0 + spread, count)
     begins = rng.random(count) * (1.0 - spans)
     picks = np.stack([begins, begins + spans], axis=1)

@@ -1,4 +1,4 @@
-"""The planning space: projection and state checks, counted, for all planners."""
+"""The planning space of all planners: projection and state checks, which it counts."""
 
 import ctypes
 from collections.abc import Callable
@@ -21,7 +21,7 @@ from cvqmpt_lab.robot.kinematics import forward_kinematics
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Attachment, Scene
 from cvqmpt_lab.search import motion
-from cvqmpt_lab.search.motion import DEVIATION, bisect_motion, project_state, state_valid
+from cvqmpt_lab.search.motion import MAX_LENGTH_RATIO, bisect_motion, project_state, state_valid
 from cvqmpt_lab.search.result import Counters, JointPath
 
 BACKENDS = ("compiled", "exact")
@@ -47,7 +47,15 @@ def constraint_one(
     out_residual: Annotated[np.ndarray, "m"],
     out_jacobian: Annotated[np.ndarray, "m n"],
 ):
-    """Write F(q) into out_residual (m,) and dF/dq into out_jacobian (m, n)."""
+    """Compute the constraint and its Jacobian at one configuration.
+
+    Args:
+        space: the planning space.
+        q: (n,) [rad or m].
+        full: whether the Jacobian has non-zero rows where F is 0.
+        out_residual: F(q) (m,), written.
+        out_jacobian: dF/dq (m, n), written.
+    """
     scratch = space.scratch
     rotation, translation = scratch.link_rotation, scratch.link_translation
     forward_kinematics(space.kinematics, q, rotation, translation)
@@ -68,12 +76,16 @@ CERTIFIED_CHORD = 4e-4  # |F| [m, rad] between two states, below the tolerance o
 
 
 def _chord(regions: Regions, inset: float, most: float = 6e-4) -> float:
-    """Return the |F| [m, rad] of tightened bounds that motions between two states may reach.
+    """Return the largest |F| [m, rad] of tightened bounds that straight motions may reach.
 
-    Where a bound was moved by the whole `inset`, a motion with |F| <= `most` is inside the true
-    one. A narrow bound was moved less: there |F| may exceed that amount by CERTIFIED_CHORD.
+    Args:
+        regions: with tightened bounds.
+        inset: the bounds were tightened by this much, narrow ones by less [m, rad].
+        most: result where all bounds were tightened by `inset`: motions stay inside the true ones.
+            Where narrow bounds were tightened less, motions may be outside the true ones by
+            CERTIFIED_CHORD.
     """
-    # a tenth of the width was taken from both sides
+    # of a narrow bound, a tenth of the width was taken from both sides
     taken = min(inset, float((regions.upper - regions.lower).min(initial=np.inf)) / 8.0)
     return min(most, CERTIFIED_CHORD + taken)
 
@@ -121,10 +133,11 @@ class World(Protocol):
 
 
 class StateCheck:
-    """An exact state check that compiled code calls by address; without a checker none is free.
+    """An exact state check that compiled code calls by its address.
 
-    The configuration is in `query`. Exceptions cannot cross compiled code: one is kept in `error`,
-    and the state counts as invalid. The object must outlive its use.
+    The caller writes the configuration into `query`. Without a checker, no state is free. An
+    exception cannot pass through compiled code: it is stored in `error`, and the state counts as
+    invalid. The object must exist as long as compiled code may call it.
     """
 
     def __init__(self, checker: StateChecker | None, n: int) -> None:
@@ -181,7 +194,7 @@ class ConstraintCalls:
 
 
 class ConstrainedSpace:
-    """Compiled arrays of a robot, a scene and a constraint, and counters of the work done in them.
+    """Arrays of a robot, a scene and a constraint for compiled code, and counters of the work.
 
     Args:
         robot: the robot.
@@ -189,19 +202,18 @@ class ConstrainedSpace:
         constraint: F(q) = 0; None: all configurations. Without compiled regions, compiled code
             calls its Python functions: a projection then takes about a hundred times as long.
         attachments: bodies that the robot carries.
-        clearance: kept from obstacles in addition to `margin` [m].
-        backend: state checks are "compiled", or "exact" by `checker`; all else is the same code.
-        checker: makes the exact checker that keeps a margin [m]; without it there are no exact
-            checks.
-        ends: start and goals (k, n) [rad or m]. Where the compiled check, which is conservative,
-            blocks one that is free, exact checks decide near it.
-        step: between neighbouring states [rad], as in the paper.
-        margin: kept from obstacles [m].
-        inset: by which bounds are tightened [m, rad]: motions between states at the bounds stay
-            inside.
+        clearance: distance kept from obstacles in addition to `margin` [m].
+        backend: state checks are "compiled", or "exact" by `checker`; everything else is the same.
+        checker: makes the exact checker for a margin [m]; None: there are no exact checks.
+        ends: start and goals (k, n) [rad or m]. The compiled check is conservative: near an end
+            that only this check blocks, exact checks decide.
+        step: largest distance of neighbouring states [rad], as in the paper.
+        margin: distance kept from obstacles [m].
+        inset: bounds are tightened by this much [m, rad], so that motions between states at the
+            bounds stay inside.
     """
 
-    # start and goals that only the conservative check blocks: near them exact checks decide
+    # names of start and goals that only the conservative check blocks
     doubtful: tuple[str, ...]
 
     def __init__(
@@ -275,7 +287,13 @@ class ConstrainedSpace:
 
     @classmethod
     def of(cls, world: World, backend: str = "compiled", **options: Any) -> Self:
-        """The space of a planning problem; options: see above. `ends` are its start and goals."""
+        """Return the space of a planning problem; `ends` are its start and goals.
+
+        Args:
+            world: the planning problem.
+            backend: of state checks.
+            **options: more arguments of the constructor.
+        """
         return cls(
             world.robot,
             world.scene,
@@ -288,17 +306,17 @@ class ConstrainedSpace:
         )
 
     def again(self) -> "ConstrainedSpace":
-        """The same space with counters of its own."""
+        """Return a copy of this space with separate counters."""
         return ConstrainedSpace(self.robot, self.scene, self.constraint, **self._made_of)
 
     def unconstrained(self) -> "ConstrainedSpace":
-        """The same world without its constraint; work done there is counted here."""
+        """Return a copy of this space without its constraint; its work is counted in this one."""
         free = ConstrainedSpace(self.robot, self.scene, **self._made_of)
         free.arrays = free.arrays._replace(counters=self.arrays.counters)
         return free
 
     def _find_doubtful(self, checker: StateChecker, ends: np.ndarray) -> tuple[str, ...]:
-        """Find `doubtful` among start and goals (k, n), and let exact checks decide near them."""
+        """Return `doubtful` for start and goals (k, n); exact checks will decide near them."""
         free = self.valid_batch(ends)
         self.arrays.counters[:] = 0
         if free.all():
@@ -321,7 +339,7 @@ class ConstrainedSpace:
         return self.counters.work
 
     def counters_since(self, before: Counters) -> Counters:
-        """Work done since an earlier reading."""
+        """Work done since the counters were `before`."""
         return Counters(*(self.arrays.counters - [*vars(before).values()]).tolist())
 
     def reraise(self) -> None:
@@ -344,9 +362,9 @@ class ConstrainedSpace:
     def valid(self, q: np.ndarray) -> bool:
         """Whether q (n,) is free of collision."""
         self._require_configuration(q)
-        answer = valid_one.unchecked(self.arrays, q)
+        free = valid_one.unchecked(self.arrays, q)
         self.reraise()
-        return answer
+        return free
 
     def valid_batch(self, configurations: np.ndarray) -> np.ndarray:
         """Whether each row of configurations (b, n) is free of collision, (b,) bool."""
@@ -358,7 +376,7 @@ class ConstrainedSpace:
     def residual_and_jacobian(
         self, q: np.ndarray, full: bool = False
     ) -> tuple[np.ndarray, np.ndarray]:
-        """F(q) (m,) and dF/dq (m, n)."""
+        """Return F(q) (m,) and dF/dq (m, n); full: also the rows of dF/dq where F is 0."""
         self._require_configuration(q)
         if self._calls is not None and self.constraint is not None:
             return self.constraint.residual_and_jacobian(q)
@@ -367,7 +385,7 @@ class ConstrainedSpace:
         return residual, jacobian
 
     def _require_configuration(self, q: np.ndarray) -> None:
-        """InvalidInputError unless q is one configuration; faster than the check of `jit.entry`."""
+        """Refuse anything but one configuration; faster than the check of `jit.entry`."""
         if q.shape != (self.robot.dof,) or q.dtype != np.float64:
             raise InvalidInputError(
                 f"a configuration of {self.robot.name} is an array ({self.robot.dof},) of "
@@ -377,7 +395,8 @@ class ConstrainedSpace:
     def checked_path(self, states: np.ndarray) -> tuple[JointPath | None, int]:
         """Refine a path (m, n) [rad or m] where straight motions leave the manifold, and check it.
 
-        Returns the path and -1, or None and the index of the first segment that fails.
+        Returns:
+            The path and -1, or None and the index of the first segment that fails.
         """
         states = np.ascontiguousarray(states)
         capacity = 8 * len(states) + 4 * int(JointPath(states).length / self.arrays.step) + 64
@@ -390,23 +409,25 @@ class ConstrainedSpace:
 def direct_motion(
     space: ConstrainedSpace, origin: np.ndarray, target: np.ndarray, coarse_step: float = 0.15
 ) -> JointPath | None:
-    """The direct motion between two states: projected midpoints, from coarse to fine.
+    """Return the direct motion between two states by projected midpoints, or None.
 
-    Most failures cost a few states. Motions more than DEVIATION times as long as straight are
-    refused. The result is checked at the space's fine resolution.
+    Midpoints are made from coarse to fine: most motions that fail do so after few states. Motions
+    more than MAX_LENGTH_RATIO times as long as the straight line are refused. The result is checked
+    at the space's fine resolution.
 
     Args:
         space: the planning space.
         origin: (n,), on the manifold [rad or m].
         target: (n,), on the manifold [rad or m].
-        coarse_step: between neighbouring states before the refinement [rad], as in `BiRRT`.
+        coarse_step: largest distance of neighbouring states before the refinement [rad].
     """
     origin = np.ascontiguousarray(origin, dtype=float)
     target = np.ascontiguousarray(target, dtype=float)
     straight = float(np.linalg.norm(target - origin))
     out = np.empty((2 * int(straight / coarse_step) + 2, len(origin)))
     arrays = space.arrays._replace(step=coarse_step)
-    count = bisect_motion(arrays, origin, target, max(DEVIATION * straight, coarse_step), out)
+    longest = max(MAX_LENGTH_RATIO * straight, coarse_step)
+    count = bisect_motion(arrays, origin, target, longest, out)
     space.reraise()
     if count == 0:
         return None

@@ -16,7 +16,7 @@ import numpy as np
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.geometry.polyline import distances_along
-from cvqmpt_lab.planning.pipeline import Solution
+from cvqmpt_lab.planning.solution import Solution
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.scene.scene import Attachment, Scene

@@ -18,7 +18,7 @@ from PIL import Image, ImageDraw, ImageFont
 from cvqmpt_lab.base.errors import InvalidInputError, UnknownChoiceError, require_choice
 from cvqmpt_lab.base.files import replacing
 from cvqmpt_lab.base.processes import one_thread
-from cvqmpt_lab.planning.pipeline import Solution
+from cvqmpt_lab.planning.solution import Solution
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Attachment, Scene

@@ -16,7 +16,7 @@ import rerun.blueprint as rrb
 
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.base.files import replacing
-from cvqmpt_lab.planning.pipeline import Solution
+from cvqmpt_lab.planning.solution import Solution
 from cvqmpt_lab.scene.scene import Attachment
 from cvqmpt_lab.show.bodies import BODY_COLOURS, Body, Drawing, drawing_of_solution
 from cvqmpt_lab.show.meshes import Colour

@@ -32,9 +32,9 @@ from cvqmpt_lab.constraints.named import upper_axis
 from cvqmpt_lab.constraints.no_goal import why_none
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, upright
 from cvqmpt_lab.planning.margins import Margin, solve_with_margin
-from cvqmpt_lab.planning.pipeline import LOAD, Solution
+from cvqmpt_lab.planning.pipeline import PROBLEM_HINT
 from cvqmpt_lab.planning.planners import PLANNERS, default_planner, planner_named, require_fit
-from cvqmpt_lab.planning.solution_report import solution_lines
+from cvqmpt_lab.planning.solution import Solution
 from cvqmpt_lab.planning.warm_up import warm_up
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.search.result import Budget, JointPath
@@ -100,7 +100,7 @@ class Studio:
     """
 
     def __init__(self, problem: PlanningProblem, seconds: float = 1.0) -> None:
-        require_kind("problem", problem, PlanningProblem, LOAD)
+        require_kind("problem", problem, PlanningProblem, PROBLEM_HINT)
         self.problem, self._budget = problem, Budget(seconds=seconds)
         planner = default_planner(problem)[0]
         fitting = (name for name, one in PLANNERS.items() if not one.incompatibility(problem))
@@ -436,7 +436,7 @@ def text_of(response: Response) -> str:
     if response.message:
         lines += [response.message, "The path is that of an earlier request:"]
     if response.solution is not None:
-        for line in solution_lines(response.solution, response.planner):
+        for line in response.solution.report(response.planner):
             head = line[:12].strip()
             if head in ("planner", "constraint", "length", "certificate"):
                 lines.append(f"*{head}* {line[12:]}")

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from cvqmpt_lab.base.files import write_text
-from cvqmpt_lab.planning.pipeline import Solution
+from cvqmpt_lab.planning.solution import Solution
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.scene.scene import Attachment
 from cvqmpt_lab.search.result import JointPath

@@ -21,9 +21,9 @@ from cvqmpt_lab.base.errors import (
 )
 from cvqmpt_lab.certificate.motion_check import certified_motion
 from cvqmpt_lab.planning.margins import NO_MARGIN, Margin, solve_with_margin
-from cvqmpt_lab.planning.pipeline import Solution, no_plan
+from cvqmpt_lab.planning.pipeline import no_plan
 from cvqmpt_lab.planning.planners import planner_named
-from cvqmpt_lab.planning.solution_report import solution_data
+from cvqmpt_lab.planning.solution import Solution, solution_data
 from cvqmpt_lab.search.method import Method
 from cvqmpt_lab.search.result import Budget, PlanStatus
 from cvqmpt_lab.tasks.task import Move, Phase, PlannedPhase, Task

@@ -16,8 +16,8 @@ from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Sphere
 from cvqmpt_lab.search.motion import motion_free, states_valid
 from cvqmpt_lab.search.nearest import (
-    BLOCK,
-    LEAF,
+    NODES_PER_BLOCK,
+    NODES_PER_LEAF,
     enlarged_index,
     index_new_nodes,
     nearest_index,
@@ -157,6 +157,16 @@ def walks(rng, count, n=7):
     return nodes
 
 
+BLOCKS = (
+    1,
+    NODES_PER_BLOCK - 1,
+    NODES_PER_BLOCK,
+    NODES_PER_BLOCK + 1,
+    5 * NODES_PER_BLOCK + 77,
+    16 * NODES_PER_BLOCK,
+)
+
+
 def queries(rng, nodes, count):
     """Near the nodes, between them, and far away."""
     picks = nodes[rng.integers(len(nodes), size=(count, 2))]
@@ -167,16 +177,26 @@ def queries(rng, nodes, count):
     return np.concatenate([picks[:, 0] + spread * rng.standard_normal(between.shape), between])
 
 
-@pytest.mark.parametrize("count", [1, BLOCK - 1, BLOCK, BLOCK + 1, 5 * BLOCK + 77, 16 * BLOCK])
+@pytest.mark.parametrize(
+    "count",
+    [
+        1,
+        NODES_PER_BLOCK - 1,
+        NODES_PER_BLOCK,
+        NODES_PER_BLOCK + 1,
+        5 * NODES_PER_BLOCK + 77,
+        16 * NODES_PER_BLOCK,
+    ],
+)
 def test_the_nearest_node_is_that_of_a_plain_search(count):
     """Also after the index has grown."""
     rng = np.random.default_rng(count)
-    nodes, index = walks(rng, count), nearest_index(2 * BLOCK, 7)
+    nodes, index = walks(rng, count), nearest_index(2 * NODES_PER_BLOCK, 7)
     for size in (*range(0, count, 128), count):
         if size > index.order.shape[1]:
             index = enlarged_index(index, 2 * index.order.shape[1])
         index_new_nodes(index, 1, nodes, size)
-    assert index.indexed.tolist() == [0, count // BLOCK * BLOCK]
+    assert index.indexed.tolist() == [0, count // NODES_PER_BLOCK * NODES_PER_BLOCK]
     for target in queries(rng, nodes, 150):
         assert nearest_node(index, 1, nodes, count, target) == nearest_of_all(nodes, target)
 
@@ -187,13 +207,13 @@ def nearest_of_all(nodes, target):
 
 def test_of_equal_nodes_the_first_is_found_and_those_moved_away_later_never():
     """A removed node is moved far away; the index is not told."""
-    rng, few = np.random.default_rng(2), walks(np.random.default_rng(1), 3 * LEAF)
-    for nodes, gone in ((np.tile(few, (100, 1)), 0), (walks(rng, 3 * BLOCK), 1000)):
+    rng, few = np.random.default_rng(2), walks(np.random.default_rng(1), 3 * NODES_PER_LEAF)
+    for nodes, gone in ((np.tile(few, (100, 1)), 0), (walks(rng, 3 * NODES_PER_BLOCK), 1000)):
         index = nearest_index(len(nodes), 7)
         index_new_nodes(index, 0, nodes, len(nodes))
         nodes[rng.choice(len(nodes), gone, replace=False), 0] = 1e6
         targets = np.clip(queries(rng, nodes[:50], 50), -5.0, 5.0)
-        for target in targets if gone else nodes[[0, 7, 3 * LEAF - 1]]:
+        for target in targets if gone else nodes[[0, 7, 3 * NODES_PER_LEAF - 1]]:
             found = nearest_node(index, 0, nodes, len(nodes), target)
             assert found == nearest_of_all(nodes, target)
 

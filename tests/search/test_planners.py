@@ -22,9 +22,9 @@ from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.store import states_hash
 from cvqmpt_lab.scene.scene import Attachment, SceneObject
 from cvqmpt_lab.scene.shapes import Box, Cylinder
-from cvqmpt_lab.search.birrt import DRAWS, BiRRT, grow, plant
+from cvqmpt_lab.search.birrt import DRAW_MODES, BiRRT, grow, plant
 from cvqmpt_lab.search.method import Method
-from cvqmpt_lab.search.ompl_planners import STATE_SPACES, OmplSearch
+from cvqmpt_lab.search.ompl_planners import OMPL_STATE_SPACES, OmplSearch
 from cvqmpt_lab.search.planner_interface import GaussianMixture, Proposal, Uniform
 from cvqmpt_lab.search.result import Budget, PlanStatus
 from cvqmpt_lab.search.space import ConstrainedSpace
@@ -155,7 +155,7 @@ def test_trees_extend_towards_what_is_made_of_draws(problem, draws):
     drawn = Uniform(problem.robot.lower, problem.robot.upper).sample(np.random.default_rng(0), 60)
     made = drawn.copy()
     before = space.counters
-    _, used_to, used = grow(space.arrays, trees, made, 0, 0.2, DRAWS[draws])
+    _, used_to, used = grow(space.arrays, trees, made, 0, 0.2, DRAW_MODES[draws])
     off = np.linalg.norm(problem.manifold.residual(made[:used_to]), axis=1)
     free = space.valid_batch(made[:used_to])
     assert space.counters.iterations - before.iterations == used_to
@@ -229,7 +229,7 @@ def test_exceptions_in_state_checks_come_out(problem, name):
         plan(Interrupted(**values), name, Budget(seconds=20.0), seed=1, backend="exact")
 
 
-@pytest.mark.parametrize("manifold", STATE_SPACES)
+@pytest.mark.parametrize("manifold", OMPL_STATE_SPACES)
 def test_ompl_keeps_nothing_of_a_run(problem, manifold):
     """A cycle through OMPL's objects, unseen by Python's collector, would stay for ever.
 

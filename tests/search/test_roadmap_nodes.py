@@ -16,7 +16,7 @@ from cvqmpt_lab.scene.shapes import Box, PointCloud, Sphere
 from cvqmpt_lab.search.method import Method
 from cvqmpt_lab.search.portfolio import Portfolio
 from cvqmpt_lab.search.result import Budget, PlanStatus
-from cvqmpt_lab.search.roadmap import NEIGHBOURS, NODES, TURN, spread_roadmap
+from cvqmpt_lab.search.roadmap import ROADMAP_NEIGHBOURS, ROADMAP_NODES, spread_roadmap
 from cvqmpt_lab.search.space import ConstrainedSpace
 
 EMPTY = Scene("empty", ())
@@ -57,12 +57,15 @@ def test_nodes_and_the_motions_along_links_are_free_and_near(ur5):
     robot, roadmap = ur5
     middle = 0.5 * (robot.lower + robot.upper)
     space = ConstrainedSpace.of(PlanningProblem("bare", robot, EMPTY, middle, middle[None]))
-    assert roadmap.nodes.shape == (NODES, 6) and roadmap.neighbours.shape == (NODES, NEIGHBOURS)
+    assert roadmap.nodes.shape == (ROADMAP_NODES, 6) and roadmap.neighbours.shape == (
+        ROADMAP_NODES,
+        ROADMAP_NEIGHBOURS,
+    )
     assert space.valid_batch(roadmap.nodes).all()
-    for i in np.random.default_rng(0).choice(NODES, 40, replace=False):
+    for i in np.random.default_rng(0).choice(ROADMAP_NODES, 40, replace=False):
         to = roadmap.neighbours[i][roadmap.neighbours[i] >= 0]
         way = roadmap.nodes[to] - roadmap.nodes[i]
-        way -= TURN * np.round(way / TURN)
+        way -= 2.0 * np.pi * np.round(way / (2.0 * np.pi))
         assert space.valid_batch(roadmap.nodes[i] + 0.5 * way).mean() > 0.99
         assert (np.diff(np.linalg.norm(way, axis=1)) >= 0).all()
     assert not np.array_equal(fresh(robot, draw=1).nodes, roadmap.nodes)

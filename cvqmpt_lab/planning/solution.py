@@ -1,0 +1,220 @@
+"""The solution of a planning problem, its report for people, and its data for json."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from cvqmpt_lab.certificate.certificate import Certificate
+from cvqmpt_lab.constraints.report import BoundUse, bound_usage
+from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.search.anytime import Improvement
+from cvqmpt_lab.search.planner_interface import SamplingDistribution
+from cvqmpt_lab.search.result import JointPath, PlanResult, PlanStatus
+from cvqmpt_lab.search.shortcut import Simplified
+
+
+@dataclass(frozen=True)
+class Solution:
+    """The solution of a planning problem: path, certificate, times and counts."""
+
+    problem: PlanningProblem
+    plan: PlanResult
+    simplified: Simplified | None = None  # the shortened path; None without a path
+    certificate: Certificate | None = None  # of the shortened path; None without a path
+    goal_seconds: float = 0.0  # time of drawing goals [s]
+    # time of rendering or reading the cloud [s], which counts for no planner
+    observe_seconds: float = 0.0
+    # time of the whole call up to the path, without goals and cloud [s]
+    wall_seconds: float | None = None
+    # record of the optimization; `simplified` then has the best path
+    improvement: Improvement | None = None
+    # sampling distribution of the search; None if it used none
+    distribution: SamplingDistribution | None = None
+    left_out: tuple[str, ...] = ()  # goals of the problem that cannot be used, with the reasons
+    # goals of the search (k, n): the given ones that can be used, or drawn ones [rad or m]
+    goals: np.ndarray = field(default_factory=lambda: np.empty((0, 0)))
+
+    def __repr__(self) -> str:
+        outcome = "solved and certified" if self.solved else "not solved"
+        brief = ("status", "left out", "length", "certificate")
+        lines = [line for line in self.report() if line[:12].strip() in brief]
+        return "\n".join([f"Solution of {self.problem.name!r}: {outcome}", *lines])
+
+    @property
+    def path(self) -> JointPath | None:
+        """The shortened path, which `certificate` is about; None without a path."""
+        return self.simplified.path if self.simplified else None
+
+    @property
+    def solved(self) -> bool:
+        """Whether there is a certified path."""
+        return self.certificate is not None and self.certificate.valid
+
+    @property
+    def bound_uses(self) -> tuple[BoundUse, ...]:
+        """Used part of every bound of the constraint along the path, or at the start."""
+        states = self.problem.start[None] if self.path is None else self.path.states
+        return bound_usage(self.problem.robot, self.problem.constraint, states)
+
+    def report(self, planner: str = "", why: str = "") -> list[str]:
+        """Return the lines of the report for people; each begins with a label of 12 characters.
+
+        Args:
+            planner: name of the planner.
+            why: the reason if the planner was chosen by default.
+        """
+        plan, shorter, counts = self.plan, self.simplified, self.plan.counters
+        samples = f"samples: {plan.sampler}"
+        chosen = f"{planner} ({why})" if why else planner
+        times = f"goals {1e3 * self.goal_seconds:.1f} ms, plan {1e3 * plan.seconds:.1f} ms"
+        if shorter is not None:
+            times += f", simplify {1e3 * shorter.seconds:.1f} ms"
+        lines = [
+            f"problem     {self.problem.name}: robot {self.problem.robot.name}, "
+            f"{len(self.goals)} goals",
+            *_left_out(self.left_out),
+            f"constraint  {_bounds(self)}",
+            f"planner     {f'{chosen}, {samples}' if planner else samples}",
+            f"status      {_status(plan)}",
+            f"time        {times}",
+        ]
+        if not plan.as_is:
+            lines.append(
+                f"counts      {counts.projections} projections, {counts.newton_iterations} Newton "
+                f"iterations, {counts.state_checks} state checks, {plan.vertices} vertices"
+            )
+        if plan.path is not None and shorter is not None:
+            lines.append(
+                f"length      {plan.path.length:.2f} rad, simplified {shorter.path.length:.2f} rad"
+            )
+        if self.improvement is not None:
+            lines.append(f"optimize    {_gain(self.improvement)}")
+        if self.certificate is not None:
+            lines += _certificate(self.certificate)
+        return lines
+
+
+def _left_out(goals: Sequence[str], listed: int = 2) -> list[str]:
+    """Return lines for the first goals that were left out; the last one counts the others."""
+    lines = [f"left out    {text}" for text in goals[:listed]]
+    more = len(goals) - listed
+    if more > 0:
+        lines[-1] += f"; and {more} more"
+    return lines
+
+
+def _bounds(solution: Solution) -> str:
+    """Return the used part of all bounds of the constraint in words."""
+    if not solution.problem.constraint:
+        return "none: the hand may tilt and move as it likes"
+    uses = solution.bound_uses
+    if not uses:
+        return "all entries free"
+    where = " at the start" if solution.simplified is None else " at most"
+    return "; ".join(map(str, uses)) + where
+
+
+def _status(plan: PlanResult) -> str:
+    """Return the status, and the method that found the path if the planner has another name."""
+    text = f"{plan.status} by {plan.fallback}" if plan.fallback else str(plan.status)
+    if plan.status in (PlanStatus.TIMEOUT, PlanStatus.ITERATION_LIMIT):
+        iterations = plan.counters.iterations
+        text += f": no path found within {plan.seconds:.3g} s and {iterations} iterations"
+    return f"{text} ({plan.detail})" if plan.detail else text
+
+
+def _gain(made: Improvement) -> str:
+    """Return the used part of an optimization's budget, and the gain in length."""
+    used, budget = f"{1e3 * made.seconds:.1f} ms", made.budget
+    if budget.seconds is not None:
+        used = f"{1e3 * made.seconds:.1f} of {1e3 * budget.seconds:g} ms"
+    if budget.iterations is not None:
+        used += f", {made.iterations} of {budget.iterations} iterations"
+    (_, first), (_, last) = made.lengths[0], made.lengths[-1]
+    gain = f"{first:.2f} to {last:.2f} rad ({made.gained:.0%} shorter)"
+    return f"{used}: {made.searches} searches, {gain}"
+
+
+def _certificate(certificate: Certificate) -> list[str]:
+    """Return the lines of a certificate: verdict, smallest distances, tolerated deviation."""
+    verdict, gaps = str(certificate.verdict), ", no gaps"
+    if not certificate.valid:
+        verdict, gaps = f"{verdict.upper()}: {'; '.join(certificate.reasons)}", ""
+    lines = [
+        f"certificate {verdict} ({certificate.states_checked} states{gaps}, clearance "
+        f"{_distances(certificate)})"
+    ]
+    if certificate.valid and certificate.tolerated:
+        lines.append(f"tolerates   {certificate.tolerated}")
+    return lines
+
+
+def _distances(certificate: Certificate, small: float = 0.002) -> str:
+    """Return the smallest distances to obstacles and between the robot's own links in words.
+
+    Below `small` [m], the pair at the smallest distance to obstacles is named.
+    """
+    obstacles, own = certificate.obstacle_clearance, certificate.self_clearance
+    texts = []
+    if obstacles:
+        text = f"obstacles {1e3 * obstacles.distance_m:.1f} mm"
+        texts.append(f"{text} (small: {obstacles.pair})" if obstacles.distance_m < small else text)
+    if own:
+        texts.append(f"self {1e3 * own.distance_m:.1f} mm")
+    return ", ".join(texts) or f"{1e3 * certificate.min_clearance_m:.1f} mm"
+
+
+def solution_data(
+    solution: Solution, planner: str, why: str = "", given: PlanningProblem | None = None
+) -> dict[str, Any]:
+    """Return a solution as plain data for json, with states and certificate.
+
+    Args:
+        solution: the solution.
+        planner: name of the planner.
+        why: the reason if the planner was chosen by default.
+        given: the problem of the user, for the record of the certificate; None: the solution's.
+    """
+    plan, shorter = solution.plan, solution.simplified
+    problem, more = solution.problem, solution.improvement
+    certificate = None
+    if shorter is not None and solution.certificate is not None:
+        # these need scipy.interpolate, which takes half a second to import
+        from cvqmpt_lab.certificate.motion_check import DryRun
+        from cvqmpt_lab.certificate.record import record
+        from cvqmpt_lab.trajectory.trajectory import Motion
+
+        given, states = given or problem, shorter.path.states
+        motion = Motion(given.robot.joint_names, states)
+        certificate = record(given, motion, DryRun(solution.certificate, states))
+    return {
+        "problem": problem.name,
+        "robot": problem.robot.name,
+        "joints": list(problem.robot.joint_names),
+        "goals": len(solution.goals),
+        "goals_left_out": list(solution.left_out),
+        "constraint": [vars(use) for use in solution.bound_uses],
+        "planner": planner,
+        "chosen_because": why,
+        "sampler": plan.sampler,
+        "status": str(plan.status),
+        "fallback": plan.fallback,
+        "detail": plan.detail,
+        "solved": solution.solved,
+        "seconds": {
+            "goals": solution.goal_seconds,
+            "observe": solution.observe_seconds,
+            "encode": plan.timings.encode,
+            "predict": plan.timings.predict,
+            "optimize": plan.timings.optimize,
+            "search": plan.search_seconds,
+            "simplify": shorter.seconds if shorter else None,
+        },
+        "counts": None if plan.as_is else vars(plan.counters) | {"vertices": plan.vertices},
+        "length_rad": shorter.path.length if shorter else None,
+        "optimize": more and vars(more) | {"budget": vars(more.budget), "gained": more.gained},
+        "certificate": certificate,
+        "path": shorter.path.states.tolist() if shorter else None,
+    }
