@@ -30,10 +30,10 @@ from cvqmpt_lab.results.provenance import cpu_facts, provenance
 from cvqmpt_lab.search.result import Budget
 
 EXPECTED = PUBLISHED.parent / "expected" / "place_task.json"
-SCHEMA = "cvqmpt-expectations/1"
+EXPECTATIONS_SCHEMA = "cvqmpt-expectations/1"
 SUITE = "place-task"
 COUNTS = ("n_iterations", "n_projections", "n_newton_iterations", "n_state_checks", "vertices")
-COLUMNS = ("fail_reason", *COUNTS, "path_length_rad", "path_sha256", "g_sampled")
+GUARDED_COLUMNS = ("fail_reason", *COUNTS, "path_length_rad", "path_sha256", "g_sampled")
 # Largest relative change, on another processor, of a count or of path lengths summed over the runs
 # of a planner. All sums were equal to three digits on an AMD EPYC, on an Intel Xeon and in code for
 # any x86-64, which rounds differently, except those of tb-rrt: there they grew up to 2.8 times.
@@ -55,7 +55,7 @@ class Case(NamedTuple):
         return f"{self.planner}, problem {problem}, seed {self.seed}, {self.iterations} iterations"
 
 
-Values = Mapping[str, Any]  # COLUMNS of a run, None where undefined
+Values = Mapping[str, Any]  # GUARDED_COLUMNS of a run, None where undefined
 CASES: tuple[Case, ...] = (
     Case("birrt", 5, 0, 2),  # too few iterations: the failure must stay the same, too
     *(
@@ -106,7 +106,7 @@ class Expectations(NamedTuple):
         rows = [
             {**case._asdict(), "expected": dict(values)} for case, values in self.outcomes.items()
         ]
-        record = {"schema": SCHEMA, "made_with": dict(self.made_with), "runs": rows}
+        record = {"schema": EXPECTATIONS_SCHEMA, "made_with": dict(self.made_with), "runs": rows}
         write_text(path, json.dumps(record, indent=1) + "\n")
 
     @staticmethod
@@ -114,8 +114,8 @@ class Expectations(NamedTuple):
         """Read a file of `save`; InvalidInputError names it and the command that writes it."""
         try:
             record = read_json_object(path, "expectations")
-            if record["schema"] != SCHEMA:
-                raise ValueError(f"schema {record['schema']!r}, not {SCHEMA!r}")
+            if record["schema"] != EXPECTATIONS_SCHEMA:
+                raise ValueError(f"schema {record['schema']!r}, not {EXPECTATIONS_SCHEMA!r}")
             outcomes = {}
             for row in record["runs"]:
                 values = row.pop("expected")
@@ -123,7 +123,7 @@ class Expectations(NamedTuple):
                 whole_number("seed", case.seed)
                 whole_number("iterations", case.iterations, 1)
                 require_kind("planner", case.planner, str)
-                outcomes[case] = {column: values[column] for column in COLUMNS}
+                outcomes[case] = {column: values[column] for column in GUARDED_COLUMNS}
                 for column in (*COUNTS, "path_length_rad"):
                     require_kind(column, values[column] or 0.0, Real)
             if not outcomes:
@@ -168,7 +168,7 @@ def measure(
         solution = solve(problem, planner_named(case.planner), budget, case.seed, clearance=False)
         experiment = Experiment(case.suite, (case.problem,), (case.planner,), (case.seed,), budget)
         row = result_row(experiment.runs[0], solution, 0.0)
-        outcomes[case] = {column: getattr(row, column) for column in COLUMNS}
+        outcomes[case] = {column: getattr(row, column) for column in GUARDED_COLUMNS}
         if on_progress:
             on_progress(len(outcomes), len(cases), str(case))
     return outcomes
@@ -204,7 +204,7 @@ def compare(
     other = [name for name in here if here[name] != expected.made_with.get(name)]
     if not other:
         mode = "exactly: same processor and versions as the expectations"
-        return mode, differences + _unequal(pairs, COLUMNS)
+        return mode, differences + _unequal(pairs, GUARDED_COLUMNS)
     changed = ", ".join(f"{name} {expected.made_with.get(name)} -> {here[name]}" for name in other)
     mode = (
         f"within bounds, not bit for bit, since {changed}: reasons of failure equal; each count "
@@ -265,7 +265,7 @@ class Guarded(NamedTuple):
         return {
             # a folder may be called otherwise on another machine
             Case(row.planner, row.problem, row.seed, self.iterations, "the folder"): {
-                column: getattr(row, column) for column in COLUMNS
+                column: getattr(row, column) for column in GUARDED_COLUMNS
             }
             for row in rows
         }

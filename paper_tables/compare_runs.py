@@ -12,7 +12,7 @@ from cvqmpt_lab.paper_tables.table_engine import by_planner
 from cvqmpt_lab.paper_tables.writers import Lines, change, number
 from cvqmpt_lab.results.statistics import Interval
 
-COMPARED = {
+COMPARED_VALUES = {
     "time": VALUES["time"],
     "work": VALUES["work"],
     "checks": VALUES["state_checks"],
@@ -36,7 +36,7 @@ class Compared(NamedTuple):
     solved: tuple[Interval, Interval]  # [%]
     gained: tuple[Pair, ...]  # that B alone solves
     lost: tuple[Pair, ...]  # that A alone solves
-    # of COMPARED, as ratios B / A, over the runs that both solve
+    # of COMPARED_VALUES, as ratios B / A, over the runs that both solve
     changes: Mapping[str, Interval]
     left_out: tuple[int, int]  # runs of A alone and of B alone, which are not compared
     same_paths: int  # runs whose paths are equal bit for bit
@@ -86,7 +86,7 @@ def _compared(planner: str, a: Rows, b: Rows) -> Compared:
         solved=(fraction(a, solved), fraction(b, solved)),
         gained=tuple(pair for pair, old, new in pairs if new.solved and not old.solved),
         lost=tuple(pair for pair, old, new in pairs if old.solved and not new.solved),
-        changes={name: mean_ratio(paired(b, a, value)) for name, value in COMPARED.items()},
+        changes={name: mean_ratio(paired(b, a, value)) for name, value in COMPARED_VALUES.items()},
         left_out=left_out,
         same_paths=sum(old.path_sha256 == new.path_sha256 is not None for _, old, new in pairs),
     )
@@ -100,7 +100,7 @@ def named(pairs: Collection[Pair], most: int = 3) -> str:
 
 def comparison_lines(found: Sequence[Compared]) -> Lines:
     """Return a line for each planner."""
-    changed = [f"{name} [%]" for name in COMPARED]
+    changed = [f"{name} [%]" for name in COMPARED_VALUES]
     lines = [["planner", "runs", "left out of A, B", "solved A, B [%]", *changed, "same paths"]]
     for item in found:
         solved = ", ".join(number(part.estimate) for part in item.solved)
@@ -129,7 +129,7 @@ def clear(found: Sequence[Compared]) -> list[str]:
 class Rule(NamedTuple):
     """Failure condition on a number of `Compared`."""
 
-    column: str  # of COMPARED: the ratio B / A; or "solved": B - A [percentage points]
+    column: str  # of COMPARED_VALUES: the ratio B / A; or "solved": B - A [percentage points]
     operator: str  # of OPERATORS
     bound: float
 
@@ -140,8 +140,8 @@ class Rule(NamedTuple):
     def read(text: str) -> "Rule":
         """Read a rule COLUMN OP NUMBER; errors list columns and operators."""
         column, sign, number = (part.strip() for part in re.split("([<>=!]+|$)", text, maxsplit=1))
-        if column not in (*COMPARED, "solved"):
-            raise UnknownChoiceError(f"column in {text!r}:", column, (*COMPARED, "solved"))
+        if column not in (*COMPARED_VALUES, "solved"):
+            raise UnknownChoiceError(f"column in {text!r}:", column, (*COMPARED_VALUES, "solved"))
         if sign not in OPERATORS:
             raise UnknownChoiceError(f"operator in {text!r}:", sign, OPERATORS)
         try:

@@ -37,17 +37,17 @@ FACTORS = (
     *("predictor", "gaussians", "update", "cloud", "uniform_share", "sequences"),
     *("reading", "draws", "reach"),
 )
-COMPARED: Mapping[str, Value] = {
+CONTRASTED: Mapping[str, Value] = {
     "work": VALUES["work"],
     "projections": VALUES["projections"],
     "length": VALUES["path_length"],
     "G": VALUES["g_sampled"],
 }
-COLUMNS: Mapping[str, Column] = {
+FACTORIAL_COLUMNS: Mapping[str, Column] = {
     "solved": Column("solved %", "%", share_of(solved)),
     **{
         f"{name}_ratio": Column(name, "1", ratio_to(REFERENCE, value))
-        for name, value in COMPARED.items()
+        for name, value in CONTRASTED.items()
     },
     "own_time_median": Column("time [s]", "s", median_of("own_time")),
 }
@@ -56,7 +56,7 @@ WIDE: Mapping[str, object] = {"gaussians": "wide"}
 SEEING: Mapping[str, object] = {"predictor": "transformer"}
 SEEING_DECODED, SEEING_WIDE = {**SEEING, **DECODED}, {**SEEING, **WIDE}
 SAME: Mapping[str, object] = {"uniform_share": 0.15}
-NOTES = (
+FACTORIAL_NOTES = (
     f"Work ({WORK}), projections, length and G: over those of {REFERENCE}, "
     "geometric mean of the ratio over problems that both solved, bootstrap interval [95 %]. "
     "Solved: certified, Wilson interval.",
@@ -102,7 +102,7 @@ class Contrast(NamedTuple):
         def ratio(value: Value, rows: Rows, runs: SuiteRuns) -> Interval:
             return mean_ratio(paired(rows, sides[1], value, shared))
 
-        columns = {name: Column(name, "1", partial(ratio, x)) for name, x in COMPARED.items()}
+        columns = {name: Column(name, "1", partial(ratio, x)) for name, x in CONTRASTED.items()}
         return table.entry(self.title, sides[0], runs, columns, suffix="_contrast")
 
 
@@ -167,7 +167,9 @@ def factorial_table(rows: Iterable[ResultRow], published: Sequence[PublishedValu
     runs = table.suite_runs(rows)
     groups = sorted(runs.groups.items(), key=lambda item: _place(item[1][0]))
     found = [
-        table.entry(name, own, runs, COLUMNS, group=(own[0].predictor or "uniform samples",))
+        table.entry(
+            name, own, runs, FACTORIAL_COLUMNS, group=(own[0].predictor or "uniform samples",)
+        )
         for name, own in groups
     ]
     compared = [contrast.entry(runs) for contrast in CONTRASTS]
@@ -175,10 +177,10 @@ def factorial_table(rows: Iterable[ResultRow], published: Sequence[PublishedValu
     lines, compared_lines = table.group_lines(found, ["predictor"]), [CONTRAST_HEAD]
     for item in contrasts:
         pairs = str(item.measured["work"].n)
-        compared_lines.append([item.planner, pairs, *map(item.cell, COMPARED)])
-    notes = [*NOTES, *table.seed_notes(runs)]
+        compared_lines.append([item.planner, pairs, *map(item.cell, CONTRASTED)])
+    notes = [*FACTORIAL_NOTES, *table.seed_notes(runs)]
     suite, size = runs.rows[0].suite, f"{len({row.problem for row in runs.rows})} problems"
-    caption = f"{size}: products of choices of a learned sampler. {NOTES[0]}"
+    caption = f"{size}: products of choices of a learned sampler. {FACTORIAL_NOTES[0]}"
     return SuiteTable(
         suite,
         size,

@@ -33,7 +33,7 @@ from cvqmpt_lab.vqmpt.config import BY_ROLLOUTS, ROLLOUTS_ALONE
 
 BASELINE = "ompl-projected"
 CURVE_TIMES = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)  # [s]
-PARTS = ("all", "easy", "hard")
+SPLIT_PARTS = ("all", "easy", "hard")
 
 
 def _detail_begins(text: str, row: ResultRow) -> bool:
@@ -57,7 +57,7 @@ HEADLINE_COLUMNS = {
         "Path length", "rad", mean_of("path_length", "joint"), "path_length"
     ),
 }
-EFFORT = {
+EFFORT_COLUMNS = {
     "path_length_raw_median": Column("raw length [rad]", "rad", median_of("raw_length", "joint")),
     "projections_median": Column("projections", "1", median_of("projections")),
     "newton_iterations_median": Column("Newton iterations", "1", median_of("newton_iterations")),
@@ -73,7 +73,7 @@ EFFORT = {
     "time_ratio": Column(f"time / {BASELINE}", "1", ratio_to(BASELINE, VALUES["time"])),
     "fallbacks": Column("by fallback [%]", "%", share_of(lambda row: row.fallback is not None)),
 }
-GROWN = {  # only where rows say how trees grew
+GROWN_COLUMNS = {  # only where rows say how trees grew
     "extensions_median": Column("extension ends", "1", median_of("extensions", "solved")),
     "extensions_mean": Column("extension ends, mean", "1", mean_of("extensions", "solved")),
     "draw_newton_steps_median": Column(
@@ -83,12 +83,12 @@ GROWN = {  # only where rows say how trees grew
         f"Newton steps a draw / {REFERENCE}", "1", ratio_to(REFERENCE, VALUES["draw_newton_steps"])
     ),
 }
-ROLLOUTS = {  # only where a planner joins states of rollouts
+ROLLOUT_COLUMNS = {  # only where a planner joins states of rollouts
     "rollouts_alone": Column(
         "by rollouts alone [%]", "%", share_of(partial(_detail_begins, ROLLOUTS_ALONE))
     )
 }
-PAPER_COST = {
+PAPER_COST_COLUMNS = {
     "paper_cost_median": Column("time at the paper's cost [s]", "s", median_of("paper_cost")),
     **{
         f"paper_cost_ratio_{name}": Column(
@@ -97,24 +97,30 @@ PAPER_COST = {
         for name in (REFERENCE, BASELINE)
     },
 }
-SPLIT = {
+SPLIT_COLUMNS = {
     split_metric(name, part): Column(label, "1", ratio_to(REFERENCE, value, part))
     for name, (label, value) in RATIOS.items()
-    for part in PARTS
+    for part in SPLIT_PARTS
 }
-CURVE = {
+CURVE_COLUMNS = {
     f"solved_within_{time:g}_s": Column(f"{time:g} s", "%", solved_within(time))
     for time in CURVE_TIMES
 }
-COLUMNS: Mapping[str, Column] = {**HEADLINE_COLUMNS, **EFFORT, **PAPER_COST, **SPLIT, **CURVE}
-HEADLINES: Mapping[str, Mapping[str, str]] = {  # the paper's metrics, and our columns
+PLACE_COLUMNS: Mapping[str, Column] = {
+    **HEADLINE_COLUMNS,
+    **EFFORT_COLUMNS,
+    **PAPER_COST_COLUMNS,
+    **SPLIT_COLUMNS,
+    **CURVE_COLUMNS,
+}
+PLACE_HEADLINES: Mapping[str, Mapping[str, str]] = {  # the paper's metrics, and our columns
     "accuracy": {"ours": "accuracy"},
     **{
         metric: {"ours, median": f"{metric}_median", "ours, mean": f"{metric}_mean"}
         for metric in ("time", "vertices", "path_length")
     },
 }
-FIRST = {  # titles of the first table, and columns
+FIRST_COLUMNS = {  # titles of the first table, and columns
     "solved [%]": "accuracy",
     "time [s]": "time_median",
     "work": "work_median",
@@ -156,7 +162,7 @@ GROWN_NOTE = (
     "Vertices of our search are all states along extensions. Over solved runs in which a tree "
     "grew. Newton steps a draw: Algorithm 1 on draws, before trees extend towards them."
 )
-SENSED: Mapping[str, Column] = {  # only of scanned scenes
+SENSED_COLUMNS: Mapping[str, Column] = {  # only of scanned scenes
     "certified_in_map": Column("certified in the map [%]", "%", share_of(solved)),
     "free_in_truth": Column(
         "of these free in truth [%]", "%", share_of(lambda row: row.true_free is True, solved)
@@ -191,36 +197,38 @@ def place_table(
     rolled = {name for name, own in runs.groups.items() if any(map(by_rollouts, own))}
     grown = any(row.n_extensions is not None for row in runs.rows)
     more = {
-        **(SENSED if sensed else {}),
-        **(ROLLOUTS if rolled else {}),
-        **(GROWN if grown else {}),
+        **(SENSED_COLUMNS if sensed else {}),
+        **(ROLLOUT_COLUMNS if rolled else {}),
+        **(GROWN_COLUMNS if grown else {}),
     }
-    columns = {**COLUMNS, **more}
+    columns = {**PLACE_COLUMNS, **more}
     found = table.entries(runs, columns, published)
     rollouts = [item for item in found if item.planner in rolled]
     slowest = max(row.t_total_s or 0.0 for row in runs.rows)
-    times = list(CURVE)[: sum(time < slowest for time in CURVE_TIMES) + 1]
+    times = list(CURVE_COLUMNS)[: sum(time < slowest for time in CURVE_TIMES) + 1]
     suite, problems = runs.rows[0].suite, len({row.problem for row in runs.rows})
     footnotes = [*METHOD_NOTES, *_footnotes(runs)]
-    first = _first_lines(found, {**FIRST, "true [%]": "free_in_truth"} if sensed else FIRST)
+    first = _first_lines(
+        found, {**FIRST_COLUMNS, "true [%]": "free_in_truth"} if sensed else FIRST_COLUMNS
+    )
     papers = {
-        f"{COLUMNS[next(iter(ours.values()))].label}, the paper's and ours": (
+        f"{PLACE_COLUMNS[next(iter(ours.values()))].label}, the paper's and ours": (
             _paper_lines(found, metric, ours)
         )
-        for metric, ours in HEADLINES.items()
+        for metric, ours in PLACE_HEADLINES.items()
     }
     sections: Sections = {
         f"{problems} problems": first,
-        "In the map and in truth": table.column_lines(found, SENSED) if sensed else [],
+        "In the map and in truth": table.column_lines(found, SENSED_COLUMNS) if sensed else [],
         **papers,
-        "Effort (medians)": table.column_lines(found, EFFORT),
+        "Effort (medians)": table.column_lines(found, EFFORT_COLUMNS),
         "Vertices as OMPL counts them, and projections of draws": (
-            table.column_lines(found, GROWN) if grown else []
+            table.column_lines(found, GROWN_COLUMNS) if grown else []
         ),
         "Solved by rollouts alone, no tree grown between their states": (
-            table.column_lines(rollouts, ("accuracy", *ROLLOUTS)) if rollouts else []
+            table.column_lines(rollouts, ("accuracy", *ROLLOUT_COLUMNS)) if rollouts else []
         ),
-        "At the paper's cost of work": table.column_lines(found, PAPER_COST),
+        "At the paper's cost of work": table.column_lines(found, PAPER_COST_COLUMNS),
         f"Against {REFERENCE}": _split_lines(found, runs) if runs.split["easy"] else [],
         "Solved within a time, % of runs": table.column_lines(found, times),
         **table.counted(found),
@@ -237,7 +245,7 @@ def place_table(
         f"{problems} {'scenes' if sensed else 'problems'}",
         found,
         sections,
-        table.latex_planners(caption, suite, found, HEADLINES),
+        table.latex_planners(caption, suite, found, PLACE_HEADLINES),
     )
 
 
@@ -264,7 +272,7 @@ def _split_lines(found: Sequence[Entry], runs: SuiteRuns) -> Lines:
     """Return ratios on all, easy and hard problems for every planner except the reference."""
     lines = [["planner", "runs", *(label for label, _ in RATIOS.values())]]
     for item in found:
-        for part in PARTS if item.planner != REFERENCE else ():
+        for part in SPLIT_PARTS if item.planner != REFERENCE else ():
             cells = (item.cell(split_metric(name, part)) for name in RATIOS)
             lines.append([item.planner, f"{part} ({len(runs.split[part])})", *cells])
     return lines

@@ -28,7 +28,7 @@ LEFT_OUT: Mapping[str, str] = {
     FailReason.NO_START: "no level hand at the start",
     FailReason.NO_GOAL: "no level hand at the goal",
 }
-NOTES = (
+BENCH_NOTES = (
     "Problems of others: MotionBenchMaker, 700 each of a Panda, a UR5 with a gripper and a Fetch, "
     "from the source archive of vamp-planner 0.6.4 (Apache-2.0), with its descriptions of the "
     "robots. Start and goal are single configurations.",
@@ -45,8 +45,8 @@ NOTES = (
     "optimiser on a graphics card. Neither has constraints here, and processors differ.",
 )
 
-CLASSES = (0.0, 500.0, 2_000.0, 8_000.0, 30_000.0, math.inf)  # bounds of the work of `birrt`
-COMPARED = {"time": "own_time", "work": "work", "path length": "path_length"}
+WORK_CLASSES = (0.0, 500.0, 2_000.0, 8_000.0, 30_000.0, math.inf)  # bounds of the work of `birrt`
+BENCH_RATIOS = {"time": "own_time", "work": "work", "path length": "path_length"}
 
 
 def class_lines(rows: Rows) -> Lines:
@@ -54,12 +54,14 @@ def class_lines(rows: Rows) -> Lines:
     base = [row for row in rows if row.planner == REFERENCE]
     own = [row for row in rows if row.planner == "roadmap"]
     spent = {row.problem: work(row) or 0.0 for row in base}
-    classes = grouped((bisect_right(CLASSES, spent.get(row.problem, 0.0)), row) for row in own)
-    groups = {f"{CLASSES[k - 1]:g} to {CLASSES[k]:g}": classes[k] for k in sorted(classes)}
+    classes = grouped((bisect_right(WORK_CLASSES, spent.get(row.problem, 0.0)), row) for row in own)
+    groups = {
+        f"{WORK_CLASSES[k - 1]:g} to {WORK_CLASSES[k]:g}": classes[k] for k in sorted(classes)
+    }
     groups["any, and no path through the roadmap"] = [row for row in own if row.fallback]
-    lines = [["work of birrt", "problems", *(f"{word} / birrt" for word in COMPARED)]]
+    lines = [["work of birrt", "problems", *(f"{word} / birrt" for word in BENCH_RATIOS)]]
     for title, some in groups.items():
-        pairs = [paired(some, base, VALUES[value]) for value in COMPARED.values()]
+        pairs = [paired(some, base, VALUES[value]) for value in BENCH_RATIOS.values()]
         lines.append([title, str(len(pairs[0])), *(estimate(mean_ratio(item)) for item in pairs)])
     return lines
 
@@ -80,7 +82,7 @@ def motion_bench_table(
         kept or ordered,
         published,
         what="robot",
-        notes=NOTES,
+        notes=BENCH_NOTES,
         columns=(*RATIO_COLUMNS, "time_median", "solved_within_1_s"),
         known={**GROUP_COLUMNS, "solved_within_1_s": within},
     )

@@ -21,13 +21,13 @@ from cvqmpt_lab.paper_tables.writers import Lines, number
 from cvqmpt_lab.results.row import PAPER_PHASES, FailReason, ResultRow, sorted_rows, split_problem
 
 # that a time sums over
-PHASES: Mapping[str, Collection[str] | None] = {"paper": PAPER_PHASES, "all": None}
-PARTS = {
+PHASES_OF_PART: Mapping[str, Collection[str] | None] = {"paper": PAPER_PHASES, "all": None}
+TASK_PARTS = {
     "paper": "the three phases that the paper times (reach the handle, reach the can, carry)",
     "all": "all planned phases",
 }
 TIMES = {"planning_time": "Planning", "execution_time": "Execution", "total_time": "Total"}
-STATISTICS = {"mean": mean_of, "median": median_of}
+TASK_STATISTICS = {"mean": mean_of, "median": median_of}
 
 
 def task_rows(rows: Iterable[ResultRow], phases: Collection[str] | None = None) -> list[ResultRow]:
@@ -69,7 +69,7 @@ def of_tasks(measure: Measure, phases: Collection[str] | None = None) -> Measure
 
 
 def time_metric(time: str, part: str, statistic: str) -> str:
-    """Column name of a time of `TIMES`, summed over a part of `PARTS`, as "mean" or "median"."""
+    """Return the column name of a time of `TIMES`, summed over a part, as "mean" or "median"."""
     return f"{time}_of_{part}_phases_{statistic}"
 
 
@@ -82,9 +82,9 @@ TASK_COLUMNS: Mapping[str, Column] = {
             of_tasks(statistic(time), phases),
             time if (part, name) == ("paper", "mean") else None,
         )
-        for part, phases in PHASES.items()
+        for part, phases in PHASES_OF_PART.items()
         for time, label in TIMES.items()
-        for name, statistic in STATISTICS.items()
+        for name, statistic in TASK_STATISTICS.items()
     },
 }
 
@@ -105,10 +105,10 @@ PHASE_COLUMNS: Mapping[str, Column] = {
     "execution": _median("execution", "execution_time", interval=True),
     "length": _median("path length", "path_length", "rad"),
 }
-HEADLINES = {"accuracy": {"ours": "solved"}} | {
+TASK_HEADLINES = {"accuracy": {"ours": "solved"}} | {
     time: {"ours": time_metric(time, "paper", "mean")} for time in TIMES
 }
-NOTES = (
+TASK_NOTES = (
     "Ours: estimate [95 % interval]; round brackets mark the whole range: too few runs for 95 %.",
     "A task counts as solved when every phase has a certified path that could be timed; Wilson "
     "interval.",
@@ -162,20 +162,20 @@ def task_table(rows: Iterable[ResultRow], published: Sequence[PublishedValue]) -
     by_phase.sort(key=lambda item: phases.index(item.group[0]))
     size, suite = f"{len({name.task for name in names})} tasks", runs.rows[0].suite
     sections = {
-        **{f"{size}, {text}": _time_lines(tasks, part) for part, text in PARTS.items()},
+        **{f"{size}, {text}": _time_lines(tasks, part) for part, text in TASK_PARTS.items()},
         "By phase (medians over the runs that reached it)": table.group_lines(
             by_phase, ["phase"], "n"
         ),
         **table.counted(tasks),
         "Notes": [
-            *NOTES,
+            *TASK_NOTES,
             *([] if CBIRRT in runs.groups else [ABSENT]),
             *table.seed_notes(runs),
             *table.published_notes(runs, published),
         ],
     }
-    caption = f"Multi-sequence task, {size}, {PARTS['paper']}. {NOTES[2]} {NOTES[3]}"
-    latex = table.latex_planners(caption, suite, tasks, HEADLINES)
+    caption = f"Multi-sequence task, {size}, {TASK_PARTS['paper']}. {TASK_NOTES[2]} {TASK_NOTES[3]}"
+    latex = table.latex_planners(caption, suite, tasks, TASK_HEADLINES)
     return SuiteTable(suite, size, found, sections, latex)
 
 
@@ -190,5 +190,5 @@ def _time_lines(found: Sequence[Entry], part: str) -> Lines:
         lines.append([item.title, str(item.n_runs), item.cell("solved")])
         for time in TIMES:
             lines[-1] += [item.paper_cell(time)] if ours else []
-            lines[-1] += [item.cell(time_metric(time, part, name)) for name in STATISTICS]
+            lines[-1] += [item.cell(time_metric(time, part, name)) for name in TASK_STATISTICS]
     return lines

@@ -46,9 +46,18 @@ from cvqmpt_lab.results.provenance import PROVENANCE_FILE, digests_in, sessions
 from cvqmpt_lab.results.row import ResultRow
 
 PAGE = PUBLISHED.parent / "README.md"
-COMPARED = {"time [%]": "known_time", "work [%]": "work", "length [%]": "path_length"}
+CHANGE_COLUMNS = {"time [%]": "known_time", "work [%]": "work", "length [%]": "path_length"}
 KITCHENS = {"place-task": "known", "place-task-mirrored": "new"}
-ROW_COLUMNS = ("problem", "seed", "solved", "time [s]", "work", "vertices", "length [rad]", "what")
+REPORT_COLUMNS = (
+    "problem",
+    "seed",
+    "solved",
+    "time [s]",
+    "work",
+    "vertices",
+    "length [rad]",
+    "what",
+)
 
 SHOWN_FACTS = (  # of a session
     "command", "git_commit", "git_dirty", "date_utc", "cpu_model", "cpu_count", "platform",
@@ -150,11 +159,11 @@ def kitchen_lines(found: Mapping[str, Evidence]) -> Lines:
 def _change_lines(
     head: Sequence[str], rows: Iterable[tuple[list[str], Mapping[str, Rows], str, str]]
 ) -> Lines:
-    """Changes in the columns of COMPARED; rows: first cells, rows by planner, planner, baseline."""
-    lines = [[*head, *COMPARED]]
+    """Return changes; rows: first cells, rows by planner, planner, baseline."""
+    lines = [[*head, *CHANGE_COLUMNS]]
     for cells, groups, planner, against in rows:
         if planner in groups and against in groups:
-            for value in COMPARED.values():
+            for value in CHANGE_COLUMNS.values():
                 pairs = paired(groups[planner], groups[against], VALUES[value])
                 cells.append(change(mean_ratio(pairs)))
             lines.append(cells)
@@ -246,7 +255,7 @@ def report_html(
         },
         reading=reading(),
         sections=sections,
-        data={"columns": ROW_COLUMNS, "sections": data},  # what the page's script reads
+        data={"columns": REPORT_COLUMNS, "sections": data},  # what the page's script reads
     )
 
 
@@ -319,7 +328,7 @@ def _plots(groups: Mapping[str, Rows]) -> dict[str, dict[str, str]]:
 
 
 def _row(row: ResultRow) -> list[object]:
-    """Cells of `ROW_COLUMNS`."""
+    """Cells of `REPORT_COLUMNS`."""
     what = row.fallback or row.detail or ""
     if not row.solved:
         what = f"{row.fail_reason}: {row.detail or ''}"

@@ -45,7 +45,8 @@ class BrokenBiRRT(BiRRT):
 
 def outcome(seed=0, planner="birrt", **values):
     plain = {"fail_reason": None, "path_length_rad": 8.0, "path_sha256": "a"}
-    return {Case(planner, 1, seed, 10): dict.fromkeys(regression.COLUMNS, 100) | plain | values}
+    guarded = dict.fromkeys(regression.GUARDED_COLUMNS, 100)
+    return {Case(planner, 1, seed, 10): guarded | plain | values}
 
 
 CHANGES = (  # in both runs or in one; what differs where values must be equal, and elsewhere
