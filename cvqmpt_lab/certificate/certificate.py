@@ -1,9 +1,8 @@
-"""The certificate of a path: an independent check of every state, also between the path's own.
+"""The certificate of a path: an independent check of every state, also between those of the path.
 
-It uses no compiled function of the planners: pinocchio gives poses, coal distances.
+It uses no compiled function of the planners: pinocchio computes poses, coal distances.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import NamedTuple
@@ -11,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cvqmpt_lab.certificate.between_states import largest_violation, least_slack
-from cvqmpt_lab.certificate.motion_proof import Least, prove_free
+from cvqmpt_lab.certificate.motion_proof import LeastDistance, prove_free
 from cvqmpt_lab.collision.carried import reach_with
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegionChain
@@ -19,19 +18,18 @@ from cvqmpt_lab.geometry.polyline import nearest_places, step_lengths
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.search.result import JointPath
 
-SPACING = 0.11  # [rad] between states at which the constraint is evaluated first
-TOLERANCE = 5e-4  # [m, rad] constraint violation allowed, between states too
-LARGEST_STEP = 0.11  # [rad] between neighbouring states of the path itself
-END_TOLERANCE = 1e-6  # [rad] at start and goal
-FAR = 100.0  # [rad or m] beyond limits, or of length beyond LARGEST_STEP a step: no proof is tried
+CHECK_SPACING_RAD = 0.11  # largest distance of states at which the constraint is evaluated first
+CERTIFICATE_TOLERANCE = 5e-4  # allowed violation of the constraint, also between states [m, rad]
+MAX_STEP_RAD = 0.11  # largest distance of neighbouring states of the path
+END_TOLERANCE_RAD = 1e-6  # at start and goal
 
 
 class Verdict(StrEnum):
-    """Result of a certificate; a path is certified only if it is VALID."""
+    """Verdict of a certificate; a path is certified only if it is VALID."""
 
-    VALID = "valid"  # no fault, and every state proven
+    VALID = "valid"  # no fault, and every state is proven
     REFUSED = "refused"  # a fault was found
-    NOT_PROVEN = "not proven"  # none was found, but a stretch could not be proven
+    NOT_PROVEN = "not proven"  # no fault was found, but a stretch could not be proven
 
 
 class FaultKind(StrEnum):
@@ -58,28 +56,28 @@ class Fault(NamedTuple):
 
     kind: FaultKind
     text: str
-    # number of a state; 12.5 is half-way from state 12 to 13. None: the whole path
+    # place on the path: number of a state, 12.5 is between states 12 and 13. None: the whole path
     at: float | None = None
 
 
 class Clearance(NamedTuple):
-    """The least distance of pieces on a path: at_least_m <= true least distance <= distance_m."""
+    """Least distance of pieces on a path: at_least_m <= true least distance <= distance_m."""
 
-    distance_m: float  # [m], the least one found; negative in collision
-    at_least_m: float  # [m], what every state is proven to keep; -inf where nothing is proven
-    pair: str  # the two pieces it is between
-    at: float  # where it was found, as `Fault.at`
+    distance_m: float  # the least that was found; negative in collision
+    at_least_m: float  # proven of every state; -inf if nothing is proven
+    pair: str  # names of the two pieces
+    at: float  # place on the path, as `Fault.at`
 
 
 class Deviation(NamedTuple):
-    """How far a motion may be off without a collision or a broken bound of positive width."""
+    """Deviation of a motion at which no piece collides and no bound of positive width is broken."""
 
-    points_m: float  # every point of the robot and of what it carries [m]
-    hand_rad: float  # turn of the hand [rad]
-    joints: float  # all joints at once; points and hand then stay within the above [rad or m]
+    points_m: float  # of every point of the robot and of what it carries
+    hand_rad: float  # rotation of the hand
+    joints: float  # of all joints at once; points and hand then keep the above [rad or m]
 
     def __str__(self) -> str:
-        """In words."""
+        """Return the deviation in words."""
         turn = f", a hand turned by {self.hand_rad:.2g} rad" if np.isfinite(self.hand_rad) else ""
         if not np.isfinite(self.points_m):
             return f"any position of its points{turn}"
@@ -88,27 +86,24 @@ class Deviation(NamedTuple):
 
 @dataclass(frozen=True)
 class Certificate:
-    """The result of `certify`."""
+    """Result of `certify`."""
 
     faults: tuple[Fault, ...]
-    max_violation_rad: float  # largest rotation outside the constraint's bounds [rad]
-    max_violation_m: float  # largest translation outside them [m]
-    # the smaller one of the two clearances below [m]; inf without pairs, nan when not asked for
+    max_violation_rad: float  # largest rotation outside the constraint's bounds
+    max_violation_m: float  # largest translation outside the constraint's bounds
+    # the smaller one of the two clearances; inf without pairs, nan if they were not computed
     min_clearance_m: float
-    states_checked: int  # configurations at which distances were compared
-    min_clearance_pair: str = ""  # the two pieces it is between
-    min_clearance_at: float | None = None  # where it was found, as `Fault.at`
-    unproven_rad: float = 0.0  # longest stretch not proven free although its middle is free [rad]
-    # the furthest that a point of the robot can move in half of that stretch [m]
-    unproven_m: float = 0.0
-    # from obstacles, and of the robot's own pieces; None without pairs, or when not asked for
+    states_checked: int  # number of states at which distances were compared
+    unproven_rad: float = 0.0  # length of the longest stretch not proven free with a free middle
+    unproven_m: float = 0.0  # largest motion of a point of the robot in half of that stretch
+    # from obstacles, and of the robot's own pieces; None without pairs, or if not computed
     obstacle_clearance: Clearance | None = None
     self_clearance: Clearance | None = None
-    tolerated: Deviation | None = None  # None when not asked for
+    tolerated: Deviation | None = None  # None if not computed
 
     @property
     def verdict(self) -> Verdict:
-        """VALID without faults, NOT_PROVEN if only proofs are missing, else REFUSED."""
+        """Verdict: VALID without faults, NOT_PROVEN if only proofs are missing, else REFUSED."""
         if not self.faults:
             return Verdict.VALID
         missing = all(fault.kind is FaultKind.NOT_PROVEN for fault in self.faults)
@@ -121,8 +116,14 @@ class Certificate:
 
     @property
     def reasons(self) -> tuple[str, ...]:
-        """The faults in words."""
+        """Texts of the faults."""
         return tuple(fault.text for fault in self.faults)
+
+    @property
+    def closest(self) -> Clearance | None:
+        """The smaller one of the two clearances; None without pairs, or if not computed."""
+        clearances = filter(None, (self.obstacle_clearance, self.self_clearance))
+        return min(clearances, key=lambda clearance: clearance.distance_m, default=None)
 
 
 def certify(
@@ -131,31 +132,33 @@ def certify(
     checker: CollisionChecker | None = None,
     clearance: bool = True,
 ) -> Certificate:
-    """Check all states of a path q(s): collisions, limits, `|F(q(s))|` <= TOLERANCE; and its ends.
+    """Check all states of a path q(s), and its ends.
+
+    Checked are collisions, joint limits and `|F(q(s))|` <= CERTIFICATE_TOLERANCE.
 
     Args:
         problem: start, goals, constraint, robot and scene.
         path: straight joint motions between states.
-        checker: the exact checker; None for the problem's own.
-        clearance: whether the least distances are found and proven.
+        checker: the exact checker; None: that of the problem.
+        clearance: whether the least distances are computed and proven.
     """
     checker = checker or problem.collision_checker()
     unusable = _unusable(problem, path.states)
     if unusable:
         return Certificate(unusable, np.nan, np.nan, np.nan, 0)
     violation = largest_violation(
-        problem.robot, problem.constraint, path.states, SPACING, TOLERANCE
+        problem.robot, problem.constraint, path.states, CHECK_SPACING_RAD, CERTIFICATE_TOLERANCE
     )
     proof = prove_free(checker, path.states, clearance)
     faults = [*_end_faults(problem, path), *_motion_faults(problem, path)]
-    if violation.at is not None and violation.largest > TOLERANCE:
-        seen = max(violation.radians, violation.metres) > TOLERANCE
-        kind = FaultKind.MANIFOLD if seen else FaultKind.NOT_PROVEN
+    if violation.at is not None and violation.largest > CERTIFICATE_TOLERANCE:
+        kind = FaultKind.MANIFOLD
         text = f"off the manifold by {violation.radians:.2g} rad, {violation.metres:.2g} m"
-        if not seen:
+        if max(violation.radians, violation.metres) <= CERTIFICATE_TOLERANCE:
+            kind = FaultKind.NOT_PROVEN
             text += (
-                f" where it was looked at, not shown to be less than {violation.largest:.2g} in "
-                "between"
+                f" at the checked states, not proven to be less than {violation.largest:.2g} "
+                "between them"
             )
         faults.append(Fault(kind, text, _place(path.states, violation.at)))
     if proof.colliding is not None:
@@ -171,79 +174,91 @@ def certify(
         )
         faults.append(Fault(FaultKind.NOT_PROVEN, text, _place(path.states, q)))
     proven_free = proof.colliding is None and proof.unproven is None
-    kept = (problem.clearance if proven_free else -np.inf, -np.inf)
-    rooms = [
-        _clearance(path.states, *of)
-        for of in zip((proof.obstacles, proof.itself), kept, strict=True)
-    ]
-    closest = min(filter(None, rooms), key=lambda room: room.distance_m, default=None)
-    least_m = np.inf if clearance else np.nan
+    proven_m = problem.clearance if proven_free else -np.inf
+    to_obstacles = _clearance(path.states, proof.obstacles, proven_m)
+    to_itself = _clearance(path.states, proof.itself, -np.inf)
+    distances = [item.distance_m for item in (to_obstacles, to_itself) if item]
+    tolerated = None
+    if clearance:
+        clearances = (to_obstacles, to_itself)
+        tolerated = deviation_tolerated(problem, path.states, clearances, checker.margin)
     return Certificate(
         faults=tuple(faults),
         max_violation_rad=violation.radians,
         max_violation_m=violation.metres,
-        min_clearance_m=closest.distance_m if closest else least_m,
-        states_checked=proof.looks,
-        min_clearance_pair=closest.pair if closest else "",
-        min_clearance_at=closest.at if closest else None,
+        min_clearance_m=min(distances, default=np.inf) if clearance else np.nan,
+        states_checked=proof.checks,
         unproven_rad=proof.unproven.length if proof.unproven else 0.0,
         unproven_m=moved,
-        obstacle_clearance=rooms[0],
-        self_clearance=rooms[1],
-        tolerated=deviation_tolerated(problem, path.states, rooms, checker.margin)
-        if clearance
-        else None,
+        obstacle_clearance=to_obstacles,
+        self_clearance=to_itself,
+        tolerated=tolerated,
     )
 
 
 def deviation_tolerated(
     problem: PlanningProblem,
     states: np.ndarray,
-    rooms: Sequence[Clearance | None],
-    apart: float = 0.0,
+    clearances: tuple[Clearance | None, Clearance | None],
+    deviation: float = 0.0,
 ) -> Deviation:
-    """How far a motion may be off.
+    """Compute the largest deviation from a path that its clearances and its constraint tolerate.
 
     Args:
-        problem: its constraint, and the robot with what it carries.
+        problem: the constraint, and the robot with what it carries.
         states: the path (m, n) [rad or m].
-        rooms: distances from obstacles, and of the robot's own pieces.
-        apart: of the motion from straight lines between states [m].
+        clearances: from obstacles, and of the robot's own pieces.
+        deviation: of the motion from straight lines between states [m].
     """
     robot, regions = problem.robot, problem.constraint
-    turned, moved = least_slack(robot, regions, states, SPACING)
-    # both pieces of a pair of the robot's own may come closer
-    free = [room.at_least_m / k for k, room in enumerate(rooms, start=1) if room]
-    points = max(min([moved, *free]) - apart, 0.0)
-    hand = max(turned - apart, 0.0)
+    turned, moved = least_slack(robot, regions, states, CHECK_SPACING_RAD)
+    to_obstacles, to_itself = clearances
+    free = [moved]
+    if to_obstacles:
+        free.append(to_obstacles.at_least_m)
+    if to_itself:
+        free.append(to_itself.at_least_m / 2)  # both pieces of the pair may move
+    points = max(min(free) - deviation, 0.0)
+    hand = max(turned - deviation, 0.0)
     carried = reach_with(robot, problem.attachments) - robot.reach
     arms = [float(np.linalg.norm(np.linalg.inv(region.Tw_e)[:3, 3])) for region in regions]
     levers = robot.levers(max([carried, *arms]))
     if any(isinstance(region, TaskSpaceRegionChain) for region in regions):
-        # seen from what it hangs on, which turns too, the hand is no further away than this
+        # such a region moves with a link, which turns, too; the hand is within 2 reaches of it
         levers = np.maximum(levers, 2.0 * robot.reach)
     hinges = (~robot.kinematics.prismatic).sum()
     return Deviation(points, hand, float(min(points / levers.sum(), hand / max(hinges, 1))))
 
 
 def _place(states: np.ndarray, q: np.ndarray) -> float:
-    """Where on a path (m, n) a configuration (n,) lies, as `Fault.at`."""
+    """Return the place of a configuration (n,) on a path (m, n), as `Fault.at`."""
     return float(nearest_places(states, q[None])[0][0])
 
 
-def _clearance(states: np.ndarray, least: Least | None, kept: float) -> Clearance | None:
-    """The least distance along a path (m, n) for people; None without a pair.
+def _clearance(
+    states: np.ndarray, least: LeastDistance | None, proven_m: float
+) -> Clearance | None:
+    """Return the clearance on a path (m, n); None without a pair.
 
-    kept: distance [m] that the proof has shown beside.
+    proven_m: distance that is proven of every state in addition.
     """
     if least is None or least.pair is None:
         return None
-    proven = max(least.distance - least.bound, kept)
+    proven = max(least.distance - least.bound, proven_m)
     return Clearance(least.distance, proven, str(least.pair), _place(states, least.q))
 
 
-def _unusable(problem: PlanningProblem, states: np.ndarray) -> tuple[Fault, ...]:
-    """Faults of states that are no path of this robot, or too far away for a proof."""
+def _unusable(
+    problem: PlanningProblem, states: np.ndarray, far: float = 100.0
+) -> tuple[Fault, ...]:
+    """Find faults of states that are no path of this robot, or too far away for a proof.
+
+    Args:
+        problem: the robot.
+        states: (m, n) [rad or m], or an array of another shape.
+        far: no proof is tried further than this outside the joint limits, or if the path is longer
+            than this and MAX_STEP_RAD a step [rad or m].
+    """
     if np.ndim(states) != 2 or np.shape(states)[1] != problem.robot.dof or len(states) < 2:
         text = (
             f"states have shape {np.shape(states)}, a path needs (2 or more, {problem.robot.dof})"
@@ -253,31 +268,34 @@ def _unusable(problem: PlanningProblem, states: np.ndarray) -> tuple[Fault, ...]
     if not finite.all():
         return (Fault(FaultKind.SHAPE, "a state is not finite", float(finite.argmin())),)
     with np.errstate(over="ignore"):
-        too_long = JointPath(states).length > LARGEST_STEP * (len(states) - 1) + FAR
+        too_long = JointPath(states).length > MAX_STEP_RAD * (len(states) - 1) + far
         beyond = np.maximum(problem.robot.lower - states, states - problem.robot.upper).max()
-        return tuple(_motion_faults(problem, JointPath(states))) if too_long or beyond > FAR else ()
+        return tuple(_motion_faults(problem, JointPath(states))) if too_long or beyond > far else ()
 
 
 def _end_faults(problem: PlanningProblem, path: JointPath) -> list[Fault]:
+    """Find faults at the start and at the end of a path."""
     faults = []
-    if np.abs(path.states[0] - problem.start).max() > END_TOLERANCE:
+    if np.abs(path.states[0] - problem.start).max() > END_TOLERANCE_RAD:
         faults.append(Fault(FaultKind.START, "does not begin at the start", 0.0))
     end = path.states[-1]
-    at_goal = np.abs(problem.goals - end).max(axis=1).min(initial=np.inf) <= END_TOLERANCE
+    at_goal = np.abs(problem.goals - end).max(axis=1).min(initial=np.inf) <= END_TOLERANCE_RAD
     if not at_goal and problem.goal_region is not None:
-        there = largest_violation(
-            problem.robot, (problem.goal_region,), end[None], SPACING, TOLERANCE
+        region = (problem.goal_region,)
+        at_end = largest_violation(
+            problem.robot, region, end[None], CHECK_SPACING_RAD, CERTIFICATE_TOLERANCE
         )
-        at_goal = there.largest <= TOLERANCE
+        at_goal = at_end.largest <= CERTIFICATE_TOLERANCE
     if not at_goal:
         faults.append(Fault(FaultKind.GOAL, "does not end at a goal", len(path.states) - 1.0))
     return faults
 
 
 def _motion_faults(problem: PlanningProblem, path: JointPath) -> list[Fault]:
+    """Find long steps and states outside the joint limits."""
     faults, states = [], path.states
     steps = step_lengths(states)
-    if steps.max() > LARGEST_STEP:
+    if steps.max() > MAX_STEP_RAD:
         faults.append(
             Fault(FaultKind.STEP, f"a step of {steps.max():.3g} rad", float(steps.argmax()))
         )

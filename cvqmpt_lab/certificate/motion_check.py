@@ -1,8 +1,8 @@
 """Check of a motion before it is executed: limits, start, rest at both ends, certificate.
 
 Between its points a trajectory is the cubic through positions and velocities, as controllers
-interpolate. Where accelerations are stated, a controller may take the quintic through these too:
-then both curves are judged. Jerk is that of the quintic: between cubics accelerations jump.
+interpolate. If accelerations are given, a controller may interpolate by the quintic through these,
+too: then both curves are checked. Jerk is that of the quintic: between cubics accelerations jump.
 """
 
 from __future__ import annotations
@@ -27,38 +27,37 @@ if TYPE_CHECKING:
 
     from cvqmpt_lab.trajectory.timing import TimingSettings
 
-FLAT = 1e-6  # [rad or m] that a joint's cubic may leave the straight pieces it is certified by
-# Share by which limits may be exceeded: the cubics through points of `time_path` do so by 0.5 %.
-OVERSHOOT = {
+# largest distance of a joint from the straight pieces that are certified in its place [rad or m]
+CURVE_TOLERANCE = 1e-6
+# share by which limits may be exceeded: the cubics through points of `time_path` do so by 0.5 %
+LIMIT_OVERSHOOT = {
     FaultKind.VELOCITY: 1e-3,
     FaultKind.ACCELERATION: 0.01,
     FaultKind.JERK: 0.01,
     FaultKind.EFFORT: 0.01,
     FaultKind.TORQUE_RATE: 0.01,
 }
-SHARES = np.linspace(0.0, 1.0, 33)  # of a piece, where its rates are computed
 
 
 class DryRun(NamedTuple):
-    """A certificate that includes faults in time."""
+    """Certificate of a path or trajectory, with the faults of velocities, efforts and the like."""
 
     certificate: Certificate  # places of faults are numbers of `states`
-    # (m, n) [rad or m] that were certified: of a trajectory, pieces within FLAT of it
+    # (m, n) the certified states; of a trajectory, within CURVE_TOLERANCE of it [rad or m]
     states: np.ndarray
     times: np.ndarray | None = None  # (m,) of the states [s], or None for a path
-    # [m] of the robot's points on the motion from those on straight pieces, at most
-    apart: float = 0.0
-    curve: str = ""  # "cubic" or "quintic", the worse one of those judged; "" for a path
+    # largest distance of the robot's points from those on straight pieces between the states
+    deviation_m: float = 0.0
+    curve: str = ""  # "cubic" or "quintic", the worse one of those checked; "" for a path
 
 
 def certified_motion(
     problem: PlanningProblem, path: JointPath, settings: TimingSettings | None = None
 ) -> Trajectory:
-    """The fastest certified motion along a path.
+    """Compute the fastest certified motion along a path.
 
-    The certificate is of the quintics between its points, and of the cubics. Raises
-    InvalidInputError if the path does not move, the robot has no acceleration limits, or no motion
-    is certified.
+    The quintics between its points are certified, and the cubics. Raises InvalidInputError if the
+    path does not move, the robot has no acceleration limits, or no motion is certified.
     """
     from cvqmpt_lab.trajectory.timing import time_path  # half a second to import
 
@@ -88,11 +87,12 @@ def dry_run(
     Args:
         problem: start, goals, constraint, robot and scene.
         motion: the path or trajectory.
-        current: (n,), where the arm stands [rad or m]; None: it is not checked.
-        tolerance: between `current` and where the motion begins [rad or m].
-        clearance: whether the least distances are found and proven.
+        current: (n,), present configuration of the arm [rad or m]; None: it is not checked.
+        tolerance: largest difference of `current` from the begin of the motion [rad or m].
+        clearance: whether the least distances are computed and proven.
 
-    Raises InvalidInputError: joints of another robot, no velocities, times that do not increase.
+    Raises InvalidInputError for joints of another robot, for a trajectory without velocities, and
+    for times that do not increase.
     """
     motion = motion.of_joints(problem.robot.joint_names)
     states, robot = motion.positions, problem.robot
@@ -105,36 +105,38 @@ def dry_run(
     if motion.times is None or not usable:
         certificate = certify(problem, JointPath(states), clearance=clearance)
         return DryRun(replace(certificate, faults=(*faults, *certificate.faults)), states)
-    # [m] a hinge moves points by at most the diameter times dq, a slider by dq
-    apart = max(2.0 * reach_with(robot, problem.attachments), 1.0) * robot.dof * FLAT
+    # a hinge moves points by at most the diameter times dq, a slider by dq [m]
+    deviation_m = (
+        max(2.0 * reach_with(robot, problem.attachments), 1.0) * robot.dof * CURVE_TOLERANCE
+    )
     curves, gap = _curves(motion)
-    together = gap <= 0.5 * FLAT
+    together = gap <= 0.5 * CURVE_TOLERANCE
     runs: list[DryRun] = []
     for name, curve in curves.items():
-        if not (runs and together):  # else what was certified is within FLAT of this one too
-            times = _moments(curve, robot.joint_limits, FLAT - gap * together)
+        if not (runs and together):  # else the certified pieces are close to this curve, too
+            times = _moments(curve, robot.joint_limits, CURVE_TOLERANCE - gap * together)
             states = curve(times)
-            checker = problem.collision_checker(apart)
+            checker = problem.collision_checker(deviation_m)
             certificate = certify(problem, JointPath(states), checker, clearance)
-        # a quintic has the stated accelerations at its points already
-        stated = motion.accelerations if name == "cubic" else None
+        # the quintic has these accelerations at its points
+        given = motion.accelerations if name == "cubic" else None
         every = (
-            *_limit_faults(curve, stated, robot.joint_limits, times),
+            *_limit_faults(curve, given, robot.joint_limits, times),
             *_effort_faults(problem, curve, times),
             *_rest_faults(curve, robot.joint_limits, times),
             *faults,
             *certificate.faults,
         )
-        runs.append(DryRun(replace(certificate, faults=every), states, times, apart, name))
+        runs.append(DryRun(replace(certificate, faults=every), states, times, deviation_m, name))
         if every:
             return runs[-1]
     return min(runs, key=lambda run: (run.certificate.valid, run.certificate.min_clearance_m))
 
 
 def _curves(motion: Motion) -> tuple[dict[str, PPoly], float]:
-    """The quintic q(t) (n,) through stated accelerations, and the cubic; how far they are apart.
+    """Return the quintic q(t) (n,) through given accelerations, the cubic, and their distance.
 
-    With h the length of a piece, s = t / h its share and d0, d1 the stated accelerations less the
+    With h the length of a piece, s = t / h its share and d0, d1 the given accelerations less the
     cubic's at its ends: quintic - cubic = h^2 / 2 (d0 s^2 (1 - s)^3 + d1 s^3 (1 - s)^2), at most
     h^2 / 32 max(|d0|, |d1|).
     """
@@ -155,7 +157,7 @@ def _curves(motion: Motion) -> tuple[dict[str, PPoly], float]:
 
     times = motion.times - motion.times[0]
     h = np.diff(times)[:, None]
-    with np.errstate(all="ignore"):  # what overflows is refused by `_moments`
+    with np.errstate(all="ignore"):  # overflow is refused by `_moments`
         mean = np.diff(q, axis=0) / h
         begins = (6.0 * mean - 4.0 * v[:-1] - 2.0 * v[1:]) / h
         ends = (2.0 * v[:-1] + 4.0 * v[1:] - 6.0 * mean) / h
@@ -175,18 +177,17 @@ def _curves(motion: Motion) -> tuple[dict[str, PPoly], float]:
             "cubic": PPoly(cubic, times),
         }
         gap = float((h**2 / 32.0 * np.maximum(np.abs(d0), np.abs(d1))).max())
-        # closer than a nanometre or nanoradian, one of them is judged
+        # if they are closer than a nanometre or nanoradian, one of them is checked
         if gap <= 1e-9:
             del curves["quintic" if a is None else "cubic"]
         return curves, gap
 
 
 def _rates(curve: PPoly, order: int) -> np.ndarray:
-    """A derivative [rad/s, rad/s^2] at SHARES of every piece (shares, k, n), or inf, nan."""
+    """Return a derivative [rad/s, rad/s^2] at 33 points of every piece (33, k, n), or inf, nan."""
+    after = np.linspace(0.0, 1.0, 33)[:, None, None] * np.diff(curve.x)[:, None]
     with np.errstate(all="ignore"):
-        return np.polyval(
-            curve.derivative(order).c, SHARES[:, None, None] * np.diff(curve.x)[:, None]
-        )
+        return np.polyval(curve.derivative(order).c, after)
 
 
 def _moments(
@@ -196,11 +197,16 @@ def _moments(
     hardest: float = 1e3,
     most_pieces: int = 100_000,
 ) -> np.ndarray:
-    """Times (m,) between which each joint is within flat of straight: |q''| dt^2 / 8 <= flat.
+    """Return times (m,) between which joints move nearly straight: |q''| dt^2 / 8 <= flat.
 
-    hardest: times its acceleration limit, beyond which units must be wrong.
+    Args:
+        curve: q(t).
+        limits: of the joints.
+        flat: largest distance from straight [rad or m].
+        hardest: accelerations above this multiple of a limit are refused: units must be wrong.
+        most_pieces: largest number of times.
     """
-    # between SHARES a cubic is at most 1.2 % larger (Markov: |p''| <= 24 max |p| on [-1, 1])
+    # between these points a cubic is at most 1.2 % larger (Markov: |p''| <= 24 max |p| on [-1, 1])
     most = 1.02 * np.abs(_rates(curve, 2)).max(axis=0)
     if not (most <= hardest * limits.acceleration).all():
         worst, joint = np.unravel_index(int(np.argmax(most / limits.acceleration)), most.shape)
@@ -221,9 +227,16 @@ def _moments(
 
 
 def _limit_faults(
-    curve: PPoly, stated: np.ndarray | None, limits: JointLimits, times: np.ndarray
+    curve: PPoly, given: np.ndarray | None, limits: JointLimits, times: np.ndarray
 ) -> Iterator[Fault]:
-    """The joint most above each of its limits: extremes, and rates as stated."""
+    """Find the joint most above each limit of velocity, acceleration and jerk.
+
+    Args:
+        curve: q(t).
+        given: accelerations at the points of the motion (k, n), checked in addition, or None.
+        limits: of the joints.
+        times: of the certified states (m,) [s].
+    """
     for order, kind, unit, limit in (
         (1, FaultKind.VELOCITY, "rad/s", limits.velocity),
         (2, FaultKind.ACCELERATION, "rad/s^2", limits.acceleration),
@@ -232,12 +245,12 @@ def _limit_faults(
         if limit is None or (kind == FaultKind.JERK and not curve.c[:2].any()):
             continue
         shares, rates = extremes(curve, order)
-        if order == 2 and stated is not None:
-            rates = np.concatenate([rates, stated[None, :-1], stated[None, 1:]])
+        if order == 2 and given is not None:
+            rates = np.concatenate([rates, given[None, :-1], given[None, 1:]])
             shares = np.concatenate([shares, shares[[0, -1]]])
         used = np.nan_to_num(np.abs(rates) / limit, nan=np.inf)
         share, k, joint = np.unravel_index(int(used.argmax()), used.shape)
-        if used[share, k, joint] > 1.0 + OVERSHOOT[kind]:
+        if used[share, k, joint] > 1.0 + LIMIT_OVERSHOOT[kind]:
             reached = (
                 f"{limits.joint_names[joint]} reaches {used[share, k, joint] * limit[joint]:.4g} "
                 f"{unit}"
@@ -254,11 +267,18 @@ def _effort_faults(
     resolution: float = 0.005,
     most_parts: int = 200_000,
 ) -> Iterator[Fault]:
-    """The joint most above its effort limit, at any time, and above its torque rate at 1 kHz.
+    """Find the joint most above its effort limit, at any time, and above its torque rate at 1 kHz.
 
     On a part of a piece, h [s] long, |tau| is at most the larger one of its ends plus
     h^2 / 8 max |tau''|, see `Dynamics.curvature`; parts are so short that this is less than
     `resolution` of the limit.
+
+    Args:
+        problem: the robot and its load.
+        curve: q(t).
+        times: of the certified states (m,) [s].
+        resolution: see above.
+        most_parts: largest number of parts; with more, efforts are not proven.
     """
     limits, dynamics = problem.robot.joint_limits, problem.dynamics
     if dynamics is None or limits.effort is None:
@@ -268,7 +288,9 @@ def _effort_faults(
     parts = np.sqrt((bent / (8.0 * resolution * limits.effort)).max(axis=1)) * spans
     parts = np.maximum(np.ceil(parts), 1.0)
     if not parts.sum() <= most_parts:
-        text = f"efforts are not proven: {parts.sum():.3g} looks at them are too many"
+        text = (
+            f"efforts are not proven: that takes {parts.sum():.3g} checks, more than {most_parts}"
+        )
         yield Fault(FaultKind.NOT_PROVEN, text)
         return
     piece, number = numbered_parts(parts.astype(int) + 1)
@@ -286,7 +308,7 @@ def _effort_faults(
     for kind, unit, values, moments in found:
         limit = getattr(limits, kind)
         k, joint = np.unravel_index(int((values / limit).argmax()), values.shape)
-        if values[k, joint] > (1.0 + OVERSHOOT[kind]) * limit[joint]:
+        if values[k, joint] > (1.0 + LIMIT_OVERSHOOT[kind]) * limit[joint]:
             state = float(np.interp(moments[k], times, np.arange(len(times))))
             what = f"{limits.joint_names[joint]} needs up to {values[k, joint]:.4g} {unit}"
             words = kind.replace("_", " ")
@@ -294,13 +316,13 @@ def _effort_faults(
 
 
 def _rest_faults(curve: PPoly, limits: JointLimits, times: np.ndarray) -> Iterator[Fault]:
-    """Joints that do not rest where the motion begins or ends."""
+    """Find joints that do not rest where the motion begins or ends."""
     rates = _rates(curve, 1)
     last = len(times) - 1.0
     for what, velocity, at in (("begins", rates[0, 0], 0.0), ("ends", rates[-1, -1], last)):
         share = np.abs(velocity) / limits.velocity
         joint = int(share.argmax())
-        if share[joint] > OVERSHOOT[FaultKind.VELOCITY]:
+        if share[joint] > LIMIT_OVERSHOOT[FaultKind.VELOCITY]:
             moves = f"{limits.joint_names[joint]} moves at {abs(velocity[joint]):.4g} rad/s"
             yield Fault(FaultKind.VELOCITY, f"{moves} where the motion {what}", at)
 
@@ -308,6 +330,7 @@ def _rest_faults(curve: PPoly, limits: JointLimits, times: np.ndarray) -> Iterat
 def _start_fault(
     problem: PlanningProblem, first: np.ndarray, current: np.ndarray, tolerance: float
 ) -> list[Fault]:
+    """Compare the begin of a motion (n,) with the current configuration (n,) of the arm."""
     if current.shape != first.shape or not np.isfinite(current).all():
         raise InvalidInputError(
             f"current configuration of {len(current)} values: give {len(first)} finite numbers, "

@@ -1,10 +1,10 @@
 """Proof that a motion is free at every state, not only at samples (conservative advancement).
 
-A stretch of a motion is free when the distance by coal at its middle exceeds how far any link can
-move inside the stretch. A stretch that is not proven is cut in two, down to `finest`; one still not
-proven is reported, although its middle is free. The least distance is found in the same walk: every
-stretch is proven to keep a little less than the least distance found so far. The result does not
-depend on the arbitrary order in which coal reports several colliding pairs.
+A stretch of a motion is free if the distance at its middle, by coal, is larger than the motion of
+any link inside the stretch. A stretch that is not proven is cut in two. A stretch of the smallest
+length that is still not proven is reported, although its middle is free. The least distance is
+found at the same time: every stretch is proven to keep a little less than the least distance found
+so far. The result does not depend on the arbitrary order in which coal reports colliding pairs.
 """
 
 from collections import deque
@@ -14,39 +14,37 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.collision.exact import ROUNDING, CollidingPair, CollisionChecker, Nearest
+from cvqmpt_lab.collision.exact import COAL_ROUNDING_M, CollidingPair, CollisionChecker, Nearest
 from cvqmpt_lab.geometry.polyline import Polyline
 
 
 class Unproven(NamedTuple):
-    """A stretch that is not proven free although its middle is."""
+    """Stretch that is not proven free although its middle is free."""
 
     length: float  # [rad]
     middle: np.ndarray  # (n,)
-    hull: np.ndarray  # (c, n), its ends and the states between them
+    hull: np.ndarray  # (c, n), the ends and the states between them
 
 
-class Least(NamedTuple):
-    """The least distance found along a motion, and what is proven of every state.
+class LeastDistance(NamedTuple):
+    """Least distance along a motion: distance - bound <= true least distance <= distance."""
 
-    distance - bound <= true least distance <= distance
-    """
-
-    distance: float  # [m], negative in collision; inf without pairs
-    bound: float  # [m]; inf where nothing is proven, after a collision
+    distance: float  # the least that was found, negative in collision; inf without pairs [m]
+    bound: float  # inf if nothing is proven, after a collision [m]
     pair: CollidingPair | None
-    q: np.ndarray  # (n,), where it was found
+    q: np.ndarray  # (n,) state with this distance
 
 
 @dataclass(frozen=True, eq=False)
 class MotionProof:
-    """The result of `prove_free`."""
+    """Result of `prove_free`."""
 
     colliding: np.ndarray | None  # (n,), the first colliding configuration found, or None
-    unproven: Unproven | None  # the longest such stretch; None when there is none, or a collision
-    looks: int  # stretches whose middles were compared
-    obstacles: Least | None = None  # to obstacles; None when it was not asked for
-    itself: Least | None = None  # of the robot's own pieces, likewise
+    unproven: Unproven | None  # the longest unproven stretch; None after a collision
+    checks: int  # number of stretches that were checked
+    # of the robot from obstacles, and of its own pieces; None if they were not computed
+    obstacles: LeastDistance | None = None
+    itself: LeastDistance | None = None
 
 
 def prove_free(
@@ -54,146 +52,154 @@ def prove_free(
 ) -> MotionProof:
     """Prove that straight joint motions through states (m, n), m >= 1, touch nothing.
 
-    Returns at the first collision. clearance: whether least distances are found and proven, too.
-    """
-    line, itself = Polyline(states), None
-    own = _Least(checker.nearest_of_itself, line) if clearance else None
-    room = _Least(checker.nearest_obstacle, line) if clearance else None
-    clear, hits = checker.clear_of_obstacles, checker.in_collision
-    proof = _walk(line, checker.links, clear, hits, room, checker.outer)
-    if proof.colliding is None:
-        clear = checker.clear_of_itself
-        itself = _walk(line, checker.pairs, clear, hits, own, checker.margin)
-        both = proof.unproven, itself.unproven
-        longest = max(both, key=lambda it: it.length if it else -1.0)
-        unproven = None if itself.colliding is not None else longest
-        proof = MotionProof(itself.colliding, unproven, proof.looks + itself.looks)
-    if room is None or own is None:
-        return proof
-    if proof.colliding is not None:
-        for least in (room, own):
-            least.lower = -np.inf
-            least.measure(proof.colliding)
-    return replace(proof, obstacles=room.result(), itself=own.result())
-
-
-class _Least:
-    """The least distance found so far, and a distance that every state is proven to keep.
+    The proof ends at the first collision.
 
     Args:
-        nearest: distance and pair at a configuration, if it is below a distance.
-        line: the motion, whose ends are measured first: most motions come closest there.
-        share: of the least distance that is not proven, in order to be fast.
-        finest: the same at least [m].
-        far: distances above it are only proven to exceed it [m].
+        checker: the exact checker.
+        states: (m, n) [rad or m].
+        clearance: whether least distances are computed and proven.
+    """
+    line = Polyline(states)
+    to_itself = _LeastSearch(checker.nearest_of_itself, line) if clearance else None
+    to_obstacles = _LeastSearch(checker.nearest_obstacle, line) if clearance else None
+    clear, hits = checker.clear_of_obstacles, checker.in_collision
+    proof = _prove(line, checker.links, clear, hits, to_obstacles, checker.outer)
+    if proof.colliding is None:
+        clear = checker.clear_of_itself
+        itself = _prove(line, checker.pairs, clear, hits, to_itself, checker.margin)
+        both = proof.unproven, itself.unproven
+        longest = max(both, key=lambda stretch: stretch.length if stretch else -1.0)
+        unproven = None if itself.colliding is not None else longest
+        proof = MotionProof(itself.colliding, unproven, proof.checks + itself.checks)
+    if to_obstacles is None or to_itself is None:
+        return proof
+    if proof.colliding is not None:
+        for least in (to_obstacles, to_itself):
+            least.lower = -np.inf
+            least.measure(proof.colliding)
+    return replace(proof, obstacles=to_obstacles.result(), itself=to_itself.result())
+
+
+class _LeastSearch:
+    """Least distance found so far, and a distance that every state is proven to keep.
+
+    Args:
+        nearest: function of a state and a distance; returns the distance and the pair at the state
+            if they are closer.
+        line: the motion. Its ends are measured first: most motions come closest there.
+        rel_tol: relative tolerance of the proven distance; a small one takes long.
+        abs_tol: absolute tolerance of the proven distance [m].
+        far: larger distances are only proven to be larger than this [m].
     """
 
     def __init__(
         self,
         nearest: Callable[[np.ndarray, float], Nearest],
         line: Polyline,
-        share: float = 0.2,
-        finest: float = 1e-3,
+        rel_tol: float = 0.2,
+        abs_tol: float = 1e-3,
         far: float = 0.1,
     ) -> None:
-        self._nearest, self._share, self._finest, self._far = nearest, share, finest, far
-        self.found, self._q, self.lower = Nearest(np.inf, None), line.ends[0], far
+        self._nearest, self._rel_tol, self._abs_tol, self._far = nearest, rel_tol, abs_tol, far
+        self.found, self._q = Nearest(np.inf, None), line.ends[0]
+        self.lower = far  # proven of the stretches so far [m]
         for q in line.ends:
             self.measure(q)
 
     def measure(self, q: np.ndarray) -> float:
-        """At most the distance at q (n,) [m], or the least found so far, which may change."""
+        """Update the least distance by the one at q (n,); return a lower bound on both [m]."""
         found = self._nearest(q, self.found.distance)
         if found.distance < self.found.distance:
             self.found, self._q = found, q
-        return (1.0 - 2.0 * ROUNDING) * found.distance - 2.0 * ROUNDING
+        return (1.0 - 2.0 * COAL_ROUNDING_M) * found.distance - 2.0 * COAL_ROUNDING_M
 
     def aim(self, doublings: int) -> float:
-        """The distance that is to be proven of the next stretches [m]."""
-        unproven = min(1.0, self._share * 2.0**doublings) * self.found.distance
-        return max(0.0, min(self.found.distance - max(unproven, self._finest), self._far))
+        """Return the distance to prove of the next stretches [m]; doublings: of `rel_tol`."""
+        unproven = min(1.0, self._rel_tol * 2.0**doublings) * self.found.distance
+        return max(0.0, min(self.found.distance - max(unproven, self._abs_tol), self._far))
 
-    def result(self) -> Least:
-        """What was found."""
+    def result(self) -> LeastDistance:
+        """Return the least distance with the bound that is proven."""
         distance, pair = self.found
         if pair is None:
-            return Least(distance, 0.0, None, self._q)
-        return Least(distance, max(0.0, distance - self.lower), pair, self._q)
+            return LeastDistance(distance, 0.0, None, self._q)
+        return LeastDistance(distance, max(0.0, distance - self.lower), pair, self._q)
 
 
-def _walk(
+def _prove(
     line: Polyline,
     parts: int,
     clear: Callable[[np.ndarray, np.ndarray, np.ndarray, float], tuple[np.ndarray, np.ndarray]],
     hits: Callable[[np.ndarray], bool],
-    least: _Least | None,
+    least: _LeastSearch | None,
     margin: float,
     longest: float = 0.2,
     finest: float = 1e-7,
     coarse: float = 1e-4,
     doubtful: float = 0.01,
-    most_fine: int = 4000,
+    max_fine_checks: int = 4000,
     most_at_once: int = 64,
     effort: int = 200,
 ) -> MotionProof:
-    """Prove stretch after stretch with `CollisionChecker.clear_of_obstacles` or `_of_itself`.
+    """Prove stretch after stretch with `CollisionChecker.clear_of_obstacles` or `clear_of_itself`.
+
+    Lengths are half of a stretch's.
 
     Args:
         line: the motion.
-        parts: of the robot, links or pairs, that a stretch is proven for, one after the other.
-        clear: (middles, hulls, known parts, distance) -> how many parts are proven to keep it in
-            each stretch, how far points of the others move.
-        hits: whether a configuration collides.
-        least: where the least distance is kept; None: it is not asked for.
-        margin: that the checker keeps [m].
-        longest: half of a stretch that is tried first [rad].
-        finest: half of the shortest stretches: unproven ones whose middle is free are not cut
-            further [rad].
-        coarse: the same after the first such stretch, or after most_fine checks of shorter ones
+        parts: number of links or pairs that are proven in each stretch, one after the other.
+        clear: function of (middles, hulls, numbers of parts already proven, distance [m]); returns
+            the numbers of parts proven to keep the distance, and the motion of the others [m].
+        hits: function that returns whether a state collides.
+        least: search for the least distance, or None.
+        margin: of the checker [m].
+        longest: length of the first stretches [rad].
+        finest: length at which a stretch with a free middle is not cut further [rad].
+        coarse: replaces `finest` after an unproven stretch or `max_fine_checks` [rad].
+        doubtful: length from which on the middle of an unproven stretch is checked for collision
             [rad].
-        doubtful: half of the unproven stretches whose middle is checked for collision [rad].
-        most_fine: about 0.2 s; else sliding along an obstacle at micrometres would take hours.
-        most_at_once: neighbouring stretches in one call: few, because work behind a collision is
-            wasted.
-        effort: checks, or ten for each stretch that is tried first, after which the share of the
-            least distance that is not proven doubles.
+        max_fine_checks: limit on checks of stretches shorter than `coarse`, about 0.2 s. Without
+            it, a motion micrometres above an obstacle would take hours.
+        most_at_once: number of stretches in one call; few, as a collision makes the rest useless.
+        effort: number of checks, or ten for each of the first stretches, after which the relative
+            tolerance of the least distance doubles.
     """
     half_length = 0.5 * line.length
     count = max(1, int(np.ceil(half_length / longest)))
-    # begin and half the length of each stretch, and how many parts are proven for it
+    # begin and half the length of each stretch, and number of its parts that are proven
     half = half_length / count
     ahead = deque((2.0 * k * half, half, 0) for k in range(count))
-    looks = fine = 0
+    checks = fine = 0
     unproven: Unproven | None = None
     while ahead:
         batch = [ahead.popleft() for _ in range(min(most_at_once, len(ahead)))]
         begins, halves, known = np.array(batch).T
         middles, hulls = line.stretches(begins, halves)
-        aim = least.aim(looks // max(effort, 10 * count)) if least else 0.0
+        aim = least.aim(checks // max(effort, 10 * count)) if least else 0.0
         proven, moved = clear(middles, hulls, known.astype(int), aim)
         if least:
             least.lower = min(least.lower, aim)
         left: list[tuple[float, float, int]] = []
-        judged = zip(batch, middles, hulls, proven.tolist(), moved.tolist(), strict=True)
-        for (begin, half, _), middle, hull, free, apart in judged:
-            looks += 1
+        results = zip(batch, middles, hulls, proven.tolist(), moved.tolist(), strict=True)
+        for (begin, half, _), middle, hull, free, motion in results:
+            checks += 1
             fine += half < coarse
             if free == parts:
                 continue
             if half <= doubtful and hits(middle):
-                return MotionProof(middle, None, looks)
-            if least and apart < 0.5 * least.found.distance:
-                # the middle may be closer than any before; no state is `apart` closer than it
-                kept = least.measure(middle) - apart
-                if kept > margin and kept >= least.aim(looks // max(effort, 10 * count)):
+                return MotionProof(middle, None, checks)
+            if least and motion < 0.5 * least.found.distance:
+                # the middle may be the closest so far; no state is closer by more than `motion`
+                kept = least.measure(middle) - motion
+                if kept > margin and kept >= least.aim(checks // max(effort, 10 * count)):
                     least.lower = min(least.lower, kept)
                     continue
-            if half > (coarse if unproven or fine > most_fine else finest):
+            if half > (coarse if unproven or fine > max_fine_checks else finest):
                 left += (begin, 0.5 * half, free), (begin + half, 0.5 * half, free)
                 continue
             if least:
-                least.lower = min(least.lower, least.measure(middle) - apart)
+                least.lower = min(least.lower, least.measure(middle) - motion)
             if unproven is None or 2.0 * half > unproven.length:
                 unproven = Unproven(2.0 * half, middle, hull)
         ahead.extendleft(reversed(left))
-    return MotionProof(None, unproven, looks)
+    return MotionProof(None, unproven, checks)

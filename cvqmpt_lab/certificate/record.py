@@ -1,4 +1,4 @@
-"""Record of a certificate: verdict, what was compared, tolerances and digests, as json or lines."""
+"""Record of a certificate as JSON or lines: verdict, numbers, comparisons, tolerances, digests."""
 
 import hashlib
 import json
@@ -11,9 +11,9 @@ import numpy as np
 
 from cvqmpt_lab.base.files import finite
 from cvqmpt_lab.certificate.certificate import (
-    END_TOLERANCE,
-    LARGEST_STEP,
-    TOLERANCE,
+    CERTIFICATE_TOLERANCE,
+    END_TOLERANCE_RAD,
+    MAX_STEP_RAD,
     Clearance,
     Deviation,
     FaultKind,
@@ -21,7 +21,7 @@ from cvqmpt_lab.certificate.certificate import (
 )
 from cvqmpt_lab.certificate.motion_check import DryRun
 from cvqmpt_lab.collision.carried import carried_pairs, reach_with
-from cvqmpt_lab.collision.exact import ROUNDING
+from cvqmpt_lab.collision.exact import COAL_ROUNDING_M
 from cvqmpt_lab.collision.solids import obstacles_within, solids
 from cvqmpt_lab.geometry.polyline import distances_along
 from cvqmpt_lab.problem import PlanningProblem
@@ -31,8 +31,11 @@ from cvqmpt_lab.trajectory.trajectory import Motion
 
 
 def record(problem: PlanningProblem, motion: Motion, found: DryRun) -> dict[str, Any]:
-    """Json of a certificate with its tolerances, comparisons and digests; null for no number."""
-    certificate = found.certificate
+    """Return the JSON of a certificate with its tolerances, comparisons and digests.
+
+    Numbers that are not finite become null.
+    """
+    certificate, closest = found.certificate, found.certificate.closest
     faults = [
         {
             "kind": str(fault.kind),
@@ -45,41 +48,53 @@ def record(problem: PlanningProblem, motion: Motion, found: DryRun) -> dict[str,
     moved, own = hashlib.sha256(), motion.of_joints(problem.robot.joint_names)
     for values in (own.positions, own.times, own.velocities, own.accelerations):
         if values is not None:
-            numbers = np.ascontiguousarray(values, dtype="<f8").tobytes()
-            moved.update(f"{values.shape}".encode() + numbers)
-    # the problem's json leaves out fields with their default value
-    asked = json.dumps(problem.to_dict(), sort_keys=True) + problem.robot.kinematics_digest
+            moved.update(f"{values.shape}".encode())
+            moved.update(np.ascontiguousarray(values, dtype="<f8").tobytes())
+    # the problem's JSON leaves out fields with their default value
+    stated = json.dumps(problem.to_dict(), sort_keys=True) + problem.robot.kinematics_digest
+    numbers = {
+        "max_violation_rad": certificate.max_violation_rad,
+        "max_violation_m": certificate.max_violation_m,
+        "min_clearance_m": certificate.min_clearance_m,
+        "states_checked": certificate.states_checked,
+        "min_clearance_pair": closest.pair if closest else "",
+        "min_clearance_at": closest.at if closest else None,
+        "unproven_rad": certificate.unproven_rad,
+        "unproven_m": certificate.unproven_m,
+        "obstacle_clearance": _fields(certificate.obstacle_clearance),
+        "self_clearance": _fields(certificate.self_clearance),
+        "tolerated": _fields(certificate.tolerated),
+    }
     return {
         "version": version("cvqmpt-lab"),
         "problem": problem.name,
-        "problem_sha256": hashlib.sha256(asked.encode()).hexdigest(),
+        "problem_sha256": hashlib.sha256(stated.encode()).hexdigest(),
         "motion_sha256": moved.hexdigest(),
         "valid": certificate.valid,
         "verdict": str(certificate.verdict),
         "faults": faults,
-        "apart_m": found.apart,
+        "apart_m": found.deviation_m,
         "curve": found.curve,
-        **finite(
-            {
-                name: value._asdict() if isinstance(value, Clearance | Deviation) else value
-                for name, value in vars(certificate).items()
-                if name != "faults"
-            }
-        ),
+        **finite(numbers),
         "tolerances": {
-            "constraint": TOLERANCE,
-            "step_rad": LARGEST_STEP,
-            "ends_rad": END_TOLERANCE,
-            "margin_m": found.apart,
+            "constraint": CERTIFICATE_TOLERANCE,
+            "step_rad": MAX_STEP_RAD,
+            "ends_rad": END_TOLERANCE_RAD,
+            "margin_m": found.deviation_m,
             "clearance_m": problem.clearance,
-            "rounding_m": ROUNDING,
+            "rounding_m": COAL_ROUNDING_M,
         },
         "compared": _compared(problem),
     }
 
 
+def _fields(value: Clearance | Deviation | None) -> dict[str, Any] | None:
+    """Return the fields of a named tuple by name; None for None."""
+    return None if value is None else value._asdict()
+
+
 def report_lines(found: DryRun, contents: dict[str, Any]) -> list[str]:
-    """The lines a person reads of a record and the check that it was made from."""
+    """Return a record as text; found: the check that it was made from."""
     certificate = found.certificate
     what = "path"
     if found.times is not None:
@@ -93,13 +108,13 @@ def report_lines(found: DryRun, contents: dict[str, Any]) -> list[str]:
     if certificate.states_checked == 0:
         return lines
     distances = [
-        f"{what} {1e3 * room.distance_m:.2f} mm, {_at_least(room)}, {_where(found, room.at)}: "
-        f"{room.pair}"
-        for what, room in (
+        f"{what} {1e3 * clearance.distance_m:.2f} mm, {_proven(clearance)}, "
+        f"{_where(found, clearance.at)}: {clearance.pair}"
+        for what, clearance in (
             ("obstacles", certificate.obstacle_clearance),
             ("self", certificate.self_clearance),
         )
-        if room
+        if clearance
     ]
     distances = distances or ["there is nothing to keep a distance from"]
     collides = any(fault.kind == FaultKind.COLLISION for fault in certificate.faults)
@@ -107,41 +122,43 @@ def report_lines(found: DryRun, contents: dict[str, Any]) -> list[str]:
     if certificate.unproven_rad > 0.0:
         proven = "gaps"
     curve = ""
-    if found.apart:
-        curve = f"; straight pieces within {1e3 * found.apart:.2g} mm of the curve"
-    it, used = contents["compared"], contents["tolerances"]
-    near = it["obstacles"] - len(it["out_of_reach"])
-    reasons = Counter(pair["reason"] for pair in it["left_out"])
+    if found.deviation_m:
+        curve = f"; straight pieces within {1e3 * found.deviation_m:.2g} mm of the curve"
+    compared, tolerances = contents["compared"], contents["tolerances"]
+    near = compared["obstacles"] - len(compared["out_of_reach"])
+    reasons = Counter(pair["reason"] for pair in compared["left_out"])
     left = ", ".join(f"{count} {reason}" for reason, count in reasons.most_common())
     return [
         *lines,
         f"constraint  at most {certificate.max_violation_rad:.2g} rad, "
-        f"{certificate.max_violation_m:.2g} m outside; {TOLERANCE:g} is allowed",
+        f"{certificate.max_violation_m:.2g} m outside; {CERTIFICATE_TOLERANCE:g} is allowed",
         *(f"clearance   {distance}" for distance in distances),
         *([f"tolerates   {certificate.tolerated}"] if certificate.tolerated else []),
-        f"resolution  {proven}, by {certificate.states_checked} looks{curve}",
-        f"compared    {it['moving_pieces']} moving and {it['carried_pieces']} carried pieces: "
-        f"{it['own_pairs']} pairs with each other, all with the {it['obstacle_pieces']} pieces of "
-        f"{near} obstacles in reach, of {it['obstacles']}",
-        f"left out    {it['standing_pieces']} standing pieces against obstacles; of pairs of "
+        f"resolution  {proven}, by {certificate.states_checked} checks{curve}",
+        f"compared    {compared['moving_pieces']} moving and {compared['carried_pieces']} carried "
+        f"pieces: {compared['own_pairs']} pairs with each other, all with the "
+        f"{compared['obstacle_pieces']} pieces of {near} obstacles in reach, of "
+        f"{compared['obstacles']}",
+        f"left out    {compared['standing_pieces']} standing pieces against obstacles; of pairs of "
         f"links: {left or 'none'}",
-        f"tolerances  constraint {used['constraint']:g} rad or m, step {used['step_rad']:g} rad, "
-        f"ends {used['ends_rad']:g} rad, margin {1e3 * used['margin_m']:.2g} mm, clearance from "
-        f"obstacles {1e3 * used['clearance_m']:g} mm",
+        f"tolerances  constraint {tolerances['constraint']:g} rad or m, step "
+        f"{tolerances['step_rad']:g} rad, ends {tolerances['ends_rad']:g} rad, margin "
+        f"{1e3 * tolerances['margin_m']:.2g} mm, clearance from obstacles "
+        f"{1e3 * tolerances['clearance_m']:g} mm",
         f"record      version {contents['version']}, problem {contents['problem_sha256'][:12]}, "
         f"motion {contents['motion_sha256'][:12]}",
     ]
 
 
-def _at_least(room: Clearance) -> str:
-    """What is proven of a least distance, in words."""
-    if not math.isfinite(room.at_least_m):
+def _proven(clearance: Clearance) -> str:
+    """Return in words what distance is proven of every state."""
+    if not math.isfinite(clearance.at_least_m):
         return "the least found"
-    return f"at least {1e3 * max(room.at_least_m, 0.0):.2f} mm everywhere"
+    return f"at least {1e3 * max(clearance.at_least_m, 0.0):.2f} mm everywhere"
 
 
 def _where(found: DryRun, at: float) -> str:
-    """A place for people: state, and time or distance along."""
+    """Return a place in words: the time, or the state and its distance along the path."""
     if found.times is not None:
         return f"at {_time(found, at):.4f} s"
     states = found.states[: int(at) + 2]
@@ -152,14 +169,14 @@ def _where(found: DryRun, at: float) -> str:
 
 
 def _time(found: DryRun, at: float) -> float | None:
-    """Time [s] at a fractional number of a trajectory's states; None for a path."""
+    """Return the time [s] at a place on a trajectory; None for a path."""
     if found.times is None:
         return None
     return float(np.interp(at, np.arange(len(found.times)), found.times))
 
 
 def _compared(problem: PlanningProblem) -> dict[str, Any]:
-    """Numbers of pieces, obstacles and pairs; obstacles and pairs left out, and why."""
+    """Count pieces, obstacles and pairs; list obstacles and pairs left out, with the reason."""
     robot, carried = problem.robot, problem.attachments
     links = robot.collision_model.geometryObjects
     pieces = [len(list(solids(item.name, item.shape, item.T_hand_object))) for item in carried]

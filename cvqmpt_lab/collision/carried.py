@@ -1,4 +1,4 @@
-"""What a robot carries: pairs of pieces to check, and how far robot and load reach."""
+"""Attachments of a robot: pairs of pieces to check, and the reach of robot and attachments."""
 
 from collections.abc import Sequence
 
@@ -10,7 +10,7 @@ from cvqmpt_lab.scene.scene import Attachment
 
 
 def carried_pairs(robot: Robot, attachments: Sequence[Attachment]) -> list[tuple[int, int]]:
-    """(link piece, attachment) index pairs, without pieces fixed to a hand that holds it."""
+    """Pairs to check, as indices of (link piece, attachment), without pieces of a holding hand."""
     holding = [[robot.hand(name)[0] for name in item.held_by] for item in attachments]
     return [
         (i, k)
@@ -21,10 +21,10 @@ def carried_pairs(robot: Robot, attachments: Sequence[Attachment]) -> list[tuple
 
 
 def reach_with(robot: Robot, attachments: Sequence[Attachment], longest: float = 20.0) -> float:
-    """Radius [m] of a ball around the base that neither the robot nor what it carries can leave.
+    """Radius [m] of a ball around the base that robot and attachments cannot leave.
 
-    InvalidInputError names what reaches further than `longest` [m]: its distance grid would take
-    all memory. The usual cause is a wrong unit.
+    Raises InvalidInputError if the robot or an attachment reaches further than `longest` [m]: the
+    distance grid would take all memory. The usual cause is a wrong unit.
     """
     carried = [
         float(np.linalg.norm(item.T_hand_object[:3, 3])) + item.shape.bounding_radius

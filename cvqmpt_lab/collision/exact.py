@@ -24,14 +24,14 @@ from cvqmpt_lab.scene.coal_shapes import transform
 from cvqmpt_lab.scene.scene import Attachment, Scene
 
 Number = TypeVar("Number", float, np.ndarray)
-ROUNDING = 1e-6  # [m] coal stops when a distance d is known to ROUNDING (1 + d)
-# [m] by which boxes in a broad phase are inflated: it reports obstacles that are that close
-INFLATIONS = (1e-3, 1e-2, 0.05, 0.1, 0.25)
+COAL_ROUNDING_M = 1e-6  # coal stops when a distance d is known to COAL_ROUNDING_M (1 + d)
+# inflations of the boxes in broad phases: each reports the obstacles that are closer
+BROAD_PHASE_INFLATIONS_M = (1e-3, 1e-2, 0.05, 0.1, 0.25)
 
 
 @dataclass(frozen=True)
 class CollidingPair:
-    """Two pieces that overlap, or are closest."""
+    """Two pieces that overlap or are closest."""
 
     first: str  # name of a piece of the robot or of what it carries
     second: str  # name of another one, or of an obstacle
@@ -41,25 +41,25 @@ class CollidingPair:
 
 
 class Nearest(NamedTuple):
-    """The least distance of all pairs."""
+    """Least distance of all pairs."""
 
     distance: float  # [m], negative (penetration) in collision; inf without pairs
     pair: CollidingPair | None
 
 
 class CollisionChecker:
-    """Whether a robot, carrying attachments, touches itself or the obstacles of a scene.
+    """Check whether a robot with attachments touches itself or the obstacles of a scene.
 
-    Pieces that do not move against each other (a base link and the walls, a hand and what it
-    carries) are no pair. Contact is defined to 1e-5 m only: two checkers agree where a margin is
-    kept. Each thread needs its own checker.
+    Pieces that do not move relative to each other (a base link and the walls, a hand and its load)
+    are no pair. Contact is defined to 1e-5 m only: two checkers agree where a margin is kept. Each
+    thread needs its own checker.
 
     Args:
         robot: the robot.
         scene: obstacles.
-        attachments: what the hand carries.
-        margin: pieces closer than this [m] count as touching.
-        clearance: kept from obstacles in addition [m].
+        attachments: loads in the hands.
+        margin: pieces closer than this count as touching [m].
+        clearance: distance to keep from obstacles in addition [m].
     """
 
     def __init__(
@@ -99,7 +99,7 @@ class CollisionChecker:
         self._own_pairs = np.array(pairs, dtype=int).reshape(-1, 2).T
         self.pairs = len(pairs)
         self._obstacles = list(obstacles_within(scene, reach_with(robot, attachments) + clearance))
-        # broad phases by inflation [m], with the objects whose boxes they read: both must live on
+        # broad phases by inflation [m], and the objects whose boxes they use and do not own
         self._worlds: dict[
             float, tuple[coal.DynamicAABBTreeCollisionManager, list[coal.CollisionObject]]
         ] = {}
@@ -121,21 +121,22 @@ class CollisionChecker:
     def clear_of_obstacles(
         self, q: np.ndarray, hulls: np.ndarray, known: np.ndarray, least: float = 0.0
     ) -> tuple[np.ndarray, np.ndarray]:
-        """How many links are proven to touch no obstacle anywhere in hulls, in order from the base.
+        """Number of leading links proven to touch no obstacle anywhere in hulls of configurations.
 
-        A link l is free in a hull H if its distance to obstacles at q exceeds the margin and how
-        far its points can move in H: d_l(q) > margin + max_{x on l, q' in H} |x(q') - x(q)|.
-        The first link that is not proven may be free, too.
+        Links are in order from the base. A link l is free in a hull H if its distance from
+        obstacles at q is larger than the margin and the largest motion of its points in H:
+        d_l(q) > margin + max_{x on l, q' in H} |x(q') - x(q)|. The first link that is not proven
+        may be free, too.
 
         Args:
             q: (k, n), a configuration in each hull.
             hulls: (k, c, n), corners of convex hulls of configurations.
-            known: (k,) int, how many links are known to be free: they are not looked at.
-            least: distance that is to be proven [m], if it is more than the checker's margin.
+            known: (k,) int, numbers of leading links known to be free: they are not checked.
+            least: distance to prove [m], if it is larger than the checker's margin.
 
         Returns:
-            (k,) int, and how far any point of the links that are looked at can move in each hull
-            (k,) [m]. All are free if the number is `links`.
+            Numbers (k,) int, `links` if all are free; largest motion of any point of the checked
+            links in each hull (k,) [m].
         """
         moved = self._sweep.in_world(q, hulls, known)
         needed = _needed(moved, max(self.outer, least))
@@ -144,7 +145,7 @@ class CollisionChecker:
             self._pose(q[k])
             for link in range(free[k], self.links):
                 gap = needed[k, link]
-                if gap > INFLATIONS[-1] or self._meets_obstacle(link, gap):
+                if gap > BROAD_PHASE_INFLATIONS_M[-1] or self._meets_obstacle(link, gap):
                     break
                 free[k] += 1
         return free, moved.max(axis=1, initial=0.0)
@@ -152,7 +153,17 @@ class CollisionChecker:
     def clear_of_itself(
         self, q: np.ndarray, hulls: np.ndarray, known: np.ndarray, least: float = 0.0
     ) -> tuple[np.ndarray, np.ndarray]:
-        """As `clear_of_obstacles` for pairs of links and of what is carried."""
+        """Number of leading pairs of the robot's own pieces proven to be free.
+
+        Args:
+            q: as in `clear_of_obstacles`.
+            hulls: the same.
+            known: numbers of pairs known to be free.
+            least: the same.
+
+        Returns:
+            As `clear_of_obstacles`; all are free if the number is `pairs`.
+        """
         if self.pairs == 0:
             return known, np.zeros(len(q))
         moved = self._sweep.between(q, hulls)
@@ -171,9 +182,9 @@ class CollisionChecker:
         return float(self._sweep.in_world(q[None], hull[None]).max(initial=0.0))
 
     def _apart(self, q: np.ndarray, gaps: np.ndarray, known: int) -> int:
-        """How many of the robot's own pairs are further apart at q (n,) than gaps (p,) [m].
+        """Number of leading own pairs with distances at q (n,) above gaps (p,) [m].
 
-        In order up to the first that is not; the first `known` ones are not looked at.
+        The first `known` pairs are not checked.
         """
         near = self._near_pairs(q, gaps)
         for k in near[bisect_left(near, known) :]:
@@ -182,7 +193,7 @@ class CollisionChecker:
         return self.pairs
 
     def _near_pairs(self, q: np.ndarray, gaps: np.ndarray | float) -> list[int]:
-        """Own pairs whose balls are no further apart at q (n,), to which pieces move, than gaps."""
+        """Move the pieces to q (n,); return own pairs whose balls are at most `gaps` [m] apart."""
         pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._own_results, q)
         (first, second), (joints, balls) = self._own_pairs, self._balls
         R = np.array([T.rotation for T in self._data.oMi])
@@ -192,7 +203,7 @@ class CollisionChecker:
         return np.flatnonzero(between - balls[first, 3] - balls[second, 3] <= gaps).tolist()
 
     def colliding_pair(self, q: np.ndarray) -> CollidingPair | None:
-        """The first overlapping pair by name, or None."""
+        """First overlapping pair, or None."""
         pin.computeCollisions(self._model, self._data, self._geometry, self._own_results, q, False)
         for k, result in enumerate(self._own_results.collisionResults):
             if result.isCollision():
@@ -207,7 +218,7 @@ class CollisionChecker:
         return None
 
     def contact(self, q: np.ndarray) -> str:
-        """The first overlapping pair in words, with the clearance that it does not keep."""
+        """Text about the first overlapping pair, and the clearance that it breaks."""
         text = str(self.colliding_pair(q))
         if self._clearance:
             text += f", closer than the clearance of {1e3 * self._clearance:g} mm"
@@ -222,12 +233,12 @@ class CollisionChecker:
         return self.nearest(q).distance
 
     def nearest(self, q: np.ndarray) -> Nearest:
-        """The smallest distance of all pairs, and the pair."""
+        """Smallest distance of all pairs, and the pair."""
         itself = self.nearest_of_itself(q)
         return min(itself, self.nearest_obstacle(q, itself.distance), key=lambda it: it.distance)
 
     def nearest_of_itself(self, q: np.ndarray, least: float = np.inf) -> Nearest:
-        """The smallest distance of the robot's own pieces, if it is below `least` [m]."""
+        """Smallest distance of the robot's own pieces, if it is below `least` [m]."""
         nearest = Nearest(least, None)
         for k in self._near_pairs(q, least):
             found = pin.computeDistance(self._geometry, self._own_results, k).min_distance
@@ -236,16 +247,16 @@ class CollisionChecker:
         return nearest
 
     def nearest_obstacle(self, q: np.ndarray, least: float = np.inf) -> Nearest:
-        """The smallest distance of the robot to an obstacle, if it is below `least` [m].
+        """Smallest distance of the robot from an obstacle, if it is below `least` [m].
 
-        Pairs are measured in the order of the gaps between their boxes until a gap exceeds the
-        smallest distance so far; of many obstacles, only groups with such gaps are looked at.
+        Pairs are measured in the order of the gaps between their boxes until a gap is larger than
+        the smallest distance so far. Groups of obstacles with larger gaps are left out.
         """
         # coal's broad phases would return the last pair's distance, not the smallest
         nearest = Nearest(least, None)
         self._pose(q)
         margin = _needed(least, 0.0)
-        if margin <= INFLATIONS[-1] and not self._near_obstacles(margin):
+        if margin <= BROAD_PHASE_INFLATIONS_M[-1] and not self._near_obstacles(margin):
             return nearest
         moving, (groups, around) = _boxes(self._moving), self._groups
         apart = _box_gaps(around, moving).min(axis=1, initial=np.inf)
@@ -256,9 +267,12 @@ class CollisionChecker:
         return self._nearest_in(rows, moving, nearest)
 
     def _nearest_in(self, rows: np.ndarray, moving: np.ndarray, nearest: Nearest) -> Nearest:
-        """The smallest distance to some obstacles (k,), if it is smaller than the nearest yet.
+        """Smaller one of the nearest distance so far and that to some obstacles.
 
-        moving: boxes (b, 2, 3) around the pieces of the posed robot [m].
+        Args:
+            rows: numbers of the obstacles (k,).
+            moving: boxes (b, 2, 3) around the pieces of the posed robot [m].
+            nearest: the nearest so far.
         """
         _, objects = self._world(0.0)
         gaps = _box_gaps(self._obstacle_boxes[rows], moving)
@@ -276,7 +290,7 @@ class CollisionChecker:
 
     @cached_property
     def _groups(self) -> tuple[list[np.ndarray], np.ndarray]:
-        """Obstacles (k,) in groups of neighbours, and boxes around the groups (g, 2, 3) [m]."""
+        """Groups of neighbouring obstacles (k,), and boxes around the groups (g, 2, 3) [m]."""
         boxes, most = self._obstacle_boxes, 64  # of a group; fewer in all are one group
         centres, left = boxes.mean(axis=1), [np.arange(len(boxes))]
         groups = []
@@ -297,7 +311,7 @@ class CollisionChecker:
     def _world(
         self, inflation: float
     ) -> tuple[coal.DynamicAABBTreeCollisionManager, list[coal.CollisionObject]]:
-        """The obstacles in boxes that are inflated [m], made once."""
+        """Broad phase and objects of the obstacles, with boxes inflated by a length [m]."""
         if inflation not in self._worlds:
             objects = []
             for item in self._obstacles:
@@ -311,32 +325,34 @@ class CollisionChecker:
         return self._worlds[inflation]
 
     def _near_obstacles(self, margin: float) -> bool:
-        """Whether the robot, posed before, is closer to an obstacle than that [m]."""
+        """Whether the posed robot is closer to an obstacle than `margin` [m]."""
         # from the tip: the hand is near most often
         return any(self._meets_obstacle(link, margin) for link in range(self.links - 1, -1, -1))
 
     def _meets_obstacle(self, link: int, margin: float) -> bool:
-        """Whether a posed link, in order from the base, is closer to an obstacle than that [m]."""
+        """Whether a posed link (from the base) is closer to an obstacle than `margin` [m]."""
         self._request.security_margin = margin
         # few inflations serve all margins: a broad phase of 10 000 obstacles is slow to make
         inflation = self.outer
         if margin > inflation:
-            inflation = next((size for size in INFLATIONS if size >= margin), margin)
+            inflation = next((size for size in BROAD_PHASE_INFLATIONS_M if size >= margin), margin)
         world = self._worlds.get(inflation) or self._world(inflation)
         self._links[link][1].collide(world[0], self._callback)
         return self._result.isCollision()
 
 
 def _needed(moved: Number, margin: float) -> Number:
-    """Distances [m] that coal must report where points may have moved that far."""
-    # coal never reports less than the true distance
-    return (moved + margin + ROUNDING) * (1.0 + 2.0 * ROUNDING)
+    """Distance [m] that coal must report to prove a margin [m] after a motion of points [m].
+
+    Coal never reports less than the true distance.
+    """
+    return (moved + margin + COAL_ROUNDING_M) * (1.0 + 2.0 * COAL_ROUNDING_M)
 
 
 def _forget_guesses(results: pin.GeometryData) -> None:
-    """Start GJK at the boxes' centres, not where a pair's last call ended.
+    """Start GJK at the boxes' centres, not at the result of the pair's last call.
 
-    Else the last digits of distances, and verdicts on contact, depend on earlier calls.
+    Else the last digits of distances, and contacts, depend on earlier calls.
     """
     for requests, kind in (
         (results.collisionRequests, coal.CollisionRequest),
@@ -348,23 +364,21 @@ def _forget_guesses(results: pin.GeometryData) -> None:
 
 
 def _boxes(objects: Sequence[coal.CollisionObject]) -> np.ndarray:
-    """Boxes around objects, (b, 2, 3): least and greatest corners [m]."""
+    """Least and greatest corners of boxes around objects (b, 2, 3) [m]."""
     found = [item.getAABB() for item in objects]
     return np.array([(box.min_, box.max_) for box in found]).reshape(-1, 2, 3)
 
 
 def _box_gaps(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """Distances (a, b) [m] between boxes (a, 2, 3) and (b, 2, 3)."""
-    (low, high), (least, most) = (
-        first.transpose(1, 2, 0)[..., None],
-        second.transpose(1, 2, 0)[:, :, None],
-    )
+    low, high = first.transpose(1, 2, 0)[..., None]
+    least, most = second.transpose(1, 2, 0)[:, :, None]
     apart = np.maximum(np.maximum(low - most, least - high), 0.0)
     return np.sqrt(np.einsum("iab,iab->ab", apart, apart))
 
 
 def _robot_geometry(robot: Robot, attachments: Sequence[Attachment]) -> pin.GeometryModel:
-    """The robot's geometry and what it carries, with the pairs to check."""
+    """Geometry of the robot and its attachments, with the pairs to check."""
     geometry = robot.collision_model.copy()
     carried = []
     for item in attachments:

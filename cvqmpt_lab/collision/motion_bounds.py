@@ -1,6 +1,7 @@
-"""Bounds on how far points of a robot move while its configuration stays in a convex hull.
+"""Bounds on the motion of a robot's points while its configuration stays in a convex hull.
 
-From Jacobians and a ball around each link (Schwarzer, Saha and Latombe 2005; here second order).
+They are computed from Jacobians and a ball around each link (Schwarzer, Saha and Latombe 2005; here
+of second order).
 """
 
 from collections.abc import Sequence
@@ -15,7 +16,7 @@ from cvqmpt_lab.robot.robot import Robot
 class Sweep:
     """Motion bounds of a robot's links, for many hulls of configurations at once.
 
-    `in_world` bounds the links with these joint ids; `between` the geometry's collision pairs.
+    `in_world` bounds links, given by their joint ids; `between` the geometry's collision pairs.
     """
 
     def __init__(self, robot: Robot, geometry: pin.GeometryModel, links: Sequence[int]) -> None:
@@ -44,8 +45,8 @@ class Sweep:
 
         Args:
             q: (k, n), where motions begin.
-            hulls: (k, c, n), corners of the hulls that configurations stay in.
-            skipped: (k,) int, how many links at the front are left out of each: their bound is 0.
+            hulls: (k, c, n), corners of hulls of configurations.
+            skipped: (k,) int, number of leading links that are left out: their bound is 0.
         """
         if skipped is None:
             skipped = np.zeros(len(q), dtype=int)
@@ -57,7 +58,7 @@ class Sweep:
         return bounds
 
     def between(self, q: np.ndarray, hulls: np.ndarray) -> np.ndarray:
-        """Bounds (k, p) [m] on the relative motion of two points of a pair: the sum of theirs."""
+        """Bounds (k, p) [m] on the relative motion of two points of a pair: sums of two bounds."""
         none = np.zeros(len(q), dtype=int)
         bounds = self._bounds(self._sides, self._moving_sides, q, hulls, none)
         return bounds.reshape(len(q), 2, -1).sum(1)[:, self._pair.reshape(-1)]
@@ -83,10 +84,10 @@ class Sweep:
 
         Args:
             links: (l,), joint ids.
-            moving: (l, n) bool, the joints that move each; the others stand still.
+            moving: (l, n) bool, the joints that move each link; the others are fixed.
             q: (k, n).
             hulls: (k, c, n).
-            skipped: (k,) int, how many links at the front may get any number.
+            skipped: (k,) int, number of leading links whose bound may be any number.
         """
         if len(links) == 0:
             return np.zeros((len(q), 0))
@@ -100,7 +101,7 @@ class Sweep:
                 centres[:, k, link] = poses[link].act(self._balls[link, :3])
         v0, v1, v2, w0, w1, w2 = columns[:, :, None]
         x, y, z = centres[:, :, links, None]
-        # of each link's centre, and its turn
+        # velocities of each link's centre, and angular velocities
         twists = np.empty((2, 3, len(q), *moving.shape))
         twists[0] = v0 + w1 * z - w2 * y, v1 + w2 * x - w0 * z, v2 + w0 * y - w1 * x
         twists[1] = columns[3:, :, None]
@@ -127,7 +128,7 @@ def _lengths(vectors: np.ndarray) -> np.ndarray:
 
 
 def ball_around(items: Sequence[pin.GeometryObject]) -> np.ndarray:
-    """Centre in the joint's frame and radius (4,) [m] of a ball that holds pieces."""
+    """Centre in the joint's frame and radius (4,) [m] of a ball that contains pieces."""
     if not items:
         return np.zeros(4)
     placed = [(enclosing_points(item.geometry), item.placement) for item in items]

@@ -112,7 +112,15 @@ def _nearest_on_tetrahedron(a, b, c, d):
 
 @kernel(inline="machine")
 def nearest_on_simplex(n, p0, p1, p2, newest):
-    """Nearest point to the origin on the hull of the first n points and the newest one."""
+    """Nearest point to the origin on the hull of the first n points and the newest one.
+
+    Args:
+        n: number of points before the newest, 0 to 3.
+        p0: point, 3-tuple [m].
+        p1: the same.
+        p2: the same.
+        newest: the same.
+    """
     if n == 0:
         return 1, newest, newest, newest, newest
     if n == 1:

@@ -1,4 +1,4 @@
-"""Pieces of collision geometry: obstacles within a robot's reach, and what its hand carries."""
+"""Shapes as pieces for coal: obstacles within a robot's reach, and its attachments."""
 
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -21,7 +21,7 @@ class Solid(NamedTuple):
 
 
 def obstacles_within(scene: Scene, reach: float) -> Iterator[Solid]:
-    """The obstacles of a scene that something within reach [m] of the world's origin can touch."""
+    """Obstacles of a scene within `reach` [m] of the world's origin."""
     for item in scene.obstacles:
         position = float(np.linalg.norm(item.T_world_object[:3, 3]))
         if isinstance(item.shape, Measured) or position - item.shape.bounding_radius <= reach:
@@ -29,9 +29,15 @@ def obstacles_within(scene: Scene, reach: float) -> Iterator[Solid]:
 
 
 def solids(name: str, shape: Shape, T: np.ndarray, reach: float = np.inf) -> Iterator[Solid]:
-    """The shape at pose T; a small cloud as balls; a large one, or a map, as boxes in reach.
+    """Pieces of a shape: a solid is one, a small cloud balls, a large cloud or a map boxes.
 
     Boxes are three times as fast to check as coal's octrees, which descend from 2^16 cells.
+
+    Args:
+        name: of the shape.
+        shape: a solid, cloud or map.
+        T: its pose (4, 4) in the world or in the hand [m].
+        reach: boxes further than this from the origin of that frame may be left out [m].
     """
     if not isinstance(shape, Measured):
         yield Solid(name, coal_shape(shape), T)

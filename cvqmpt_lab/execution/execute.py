@@ -13,7 +13,7 @@ import numpy as np
 
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.base.files import finite
-from cvqmpt_lab.certificate.certificate import TOLERANCE
+from cvqmpt_lab.certificate.certificate import CERTIFICATE_TOLERANCE
 from cvqmpt_lab.constraints.report import displacements, excess
 from cvqmpt_lab.execution.mjcf import LOAD_BODY, Physics
 from cvqmpt_lab.execution.simulation import (
@@ -82,7 +82,7 @@ class Execution:
             f"{contact.time_s:.2f} s"
             for contact in self.contacts
         ]
-        if max(self.outside_rad, self.outside_m) > TOLERANCE:
+        if max(self.outside_rad, self.outside_m) > CERTIFICATE_TOLERANCE:
             found.append(
                 f"the constraint is broken by {self.outside_rad:.2g} rad, {self.outside_m:.2g} m"
             )

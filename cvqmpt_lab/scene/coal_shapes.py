@@ -13,15 +13,16 @@ from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, PointCloud, Shape
 
 def coal_shape(shape: Shape) -> coal.CollisionGeometry:
     """Return the coal geometry of a solid shape."""
-    return COAL_SHAPES[type(shape)](shape)
-
-
-COAL_SHAPES = {
-    Box: lambda box: coal.Box(*box.size),
-    Cylinder: lambda cylinder: coal.Cylinder(cylinder.radius, cylinder.height),
-    Sphere: lambda sphere: coal.Sphere(sphere.radius),
-    ConvexMesh: lambda mesh: coal_hull(mesh.vertices),
-}
+    match shape:
+        case Box(size):
+            return coal.Box(*size)
+        case Cylinder(radius, height):
+            return coal.Cylinder(radius, height)
+        case Sphere(radius):
+            return coal.Sphere(radius)
+        case ConvexMesh(vertices):
+            return coal_hull(vertices)
+    raise TypeError(f"{type(shape).__name__} is no solid")
 
 
 def loads_of(attachments: Iterable[Attachment]) -> list[Load]:

@@ -84,12 +84,12 @@ def test_paths_in_every_form_are_certified(judged, states, region_problem):
 
 
 def test_what_is_not_proven_is_not_certified(judged, states, monkeypatch):
-    monkeypatch.setattr(between_states, "ROUNDS", 0)
+    monkeypatch.setattr(between_states, "CUTS", 0)
     code, found = judged(states)
     (fault,) = found["faults"]
     assert code == 1 and not found["valid"] and found["verdict"] == "not proven"
     assert fault["kind"] == "not_proven" and fault["state"] is not None
-    told = "off the manifold by 0 rad, 0 m where it was looked at, not shown"
+    told = "off the manifold by 0 rad, 0 m at the checked states, not proven to be less than"
     assert fault["text"].startswith(told)
 
 

@@ -178,7 +178,7 @@ def test_states_that_are_repeated_or_hardly_apart_change_nothing(panda, open_kit
     checker = CollisionChecker(panda, open_kitchen)
     plain, again = prove_free(checker, motion), prove_free(checker, repeated)
     assert plain.colliding is None and again.colliding is None
-    assert again.looks == plain.looks and again.unproven is plain.unproven is None
+    assert again.checks == plain.checks and again.unproven is plain.unproven is None
 
 
 @pytest.mark.parametrize(("thickness", "lever"), [(1e-6, 0.3), (1e-5, 0.3), (2e-4, 8.0)])

@@ -10,7 +10,7 @@ from toppra_duration import toppra_duration, weak_efforts
 
 from cvqmpt_lab.benchmarks.place_task import TUNING_ENVIRONMENTS, place_problem
 from cvqmpt_lab.certificate.between_states import evenly_spaced
-from cvqmpt_lab.certificate.certificate import TOLERANCE, certify
+from cvqmpt_lab.certificate.certificate import CERTIFICATE_TOLERANCE, certify
 from cvqmpt_lab.constraints.report import bound_usage
 from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.problem import PlanningProblem
@@ -113,7 +113,7 @@ def test_certificate(trials):
             kinds = {str(fault.kind) for fault in judged.faults}
             fine = evenly_spaced(piece, FINE)
             excess = [use.excess for use in bound_usage(problem.robot, problem.constraint, fine)]
-            kept = max(excess, default=0.0) <= TOLERANCE
+            kept = max(excess, default=0.0) <= CERTIFICATE_TOLERANCE
             free = not checker.in_collision_batch(fine).any()
             assert kinds & {"collision", "not_proven"} or free, piece.tolist()
             assert kinds & {"manifold", "not_proven"} or kept, piece.tolist()

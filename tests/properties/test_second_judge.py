@@ -18,7 +18,7 @@ from second_judge import WORLD, Arm, Judge, body_of
 
 from cvqmpt_lab.base.codec import to_plain
 from cvqmpt_lab.benchmarks.two_arms import CARRYING_LAYOUTS, hold
-from cvqmpt_lab.certificate.certificate import TOLERANCE, certify
+from cvqmpt_lab.certificate.certificate import CERTIFICATE_TOLERANCE, certify
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.named import relative_pose
 from cvqmpt_lab.constraints.region_constraint import RegionConstraint
@@ -329,7 +329,11 @@ def judged(name, number, folder):
 def test_certified_motions(name, trials, tmp_path):
     verdicts = {number: judged(name, number, tmp_path) for number in range(trials)}
     found = {number: verdict for number, verdict in verdicts.items() if verdict is not None}
-    left = {number: outside for number, (_, outside) in found.items() if outside > TOLERANCE + 1e-6}
+    left = {
+        number: outside
+        for number, (_, outside) in found.items()
+        if outside > CERTIFICATE_TOLERANCE + 1e-6
+    }
     arms = (arm_of(name, number, tmp_path) for number in range(RANDOM_ARMS))
     excused = {pair for one in arms for pair in one.always}
     counts = name, len(found), trials, sorted(excused)

@@ -7,7 +7,7 @@ from properties.test_differential import near_contact
 
 from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.certificate.between_states import largest_violation
-from cvqmpt_lab.certificate.certificate import SPACING, TOLERANCE
+from cvqmpt_lab.certificate.certificate import CERTIFICATE_TOLERANCE, CHECK_SPACING_RAD
 from cvqmpt_lab.collision.arrays import robot_swing
 from cvqmpt_lab.constraints.task_space_region import FREE, symmetric_region
 from cvqmpt_lab.problem import PlanningProblem
@@ -234,6 +234,8 @@ def test_refined_motions_keep_narrow_bounds_as_the_certificate_asks(panda, toler
         path, _ = space.checked_path(np.array([begin, end]))
         if path is not None:
             found += 1
-            worst = largest_violation(panda, (flat,), path.states, SPACING, TOLERANCE)
-            assert worst.largest <= TOLERANCE
+            worst = largest_violation(
+                panda, (flat,), path.states, CHECK_SPACING_RAD, CERTIFICATE_TOLERANCE
+            )
+            assert worst.largest <= CERTIFICATE_TOLERANCE
     assert found > 1500
