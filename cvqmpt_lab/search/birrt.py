@@ -315,7 +315,16 @@ class BiRRT:
         budget: Budget,
         rng: np.random.Generator,
     ) -> PlanResult:
-        """Search a path from the start to any goal; the arguments are those of `Search.search`."""
+        """Search a path from the start to any goal; the arguments are those of `Search.search`.
+
+        Args:
+            space: the planning space.
+            start: (n,) [rad or m].
+            goals: (k, n) [rad or m].
+            distribution: that samples are drawn from.
+            budget: of this search.
+            rng: random numbers.
+        """
         deadline = Deadline(budget, space)
         growth = GrowingTrees(self, space, plant(start, goals, capacity=4096), distribution, rng)
         path = growth.grow(np.inf, budget.iterations, deadline.clock)

@@ -281,6 +281,14 @@ class CellSearch:
         """Search a path from the start to any goal; the arguments are those of `Search.search`.
 
         The distribution is not used: walks start at nodes.
+
+        Args:
+            space: the planning space.
+            start: (n,) [rad or m].
+            goals: (k, n) [rad or m].
+            distribution: that samples are drawn from.
+            budget: of this search.
+            rng: random numbers.
         """
         deadline = Deadline(budget, space)
         growth = CellTrees(space, start, goals, rng)

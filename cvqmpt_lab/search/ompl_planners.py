@@ -107,7 +107,16 @@ class OmplSearch:
         budget: Budget,
         rng: np.random.Generator,
     ) -> PlanResult:
-        """Search a path from the start to any goal; the arguments are those of `Search.search`."""
+        """Search a path from the start to any goal; the arguments are those of `Search.search`.
+
+        Args:
+            space: the planning space.
+            start: (n,) [rad or m].
+            goals: (k, n) [rad or m].
+            distribution: that samples are drawn from.
+            budget: of this search.
+            rng: random numbers.
+        """
         began = time.perf_counter()
         before = space.counters
         ou.RNG.setSeed(int(rng.integers(1, 2**31)))

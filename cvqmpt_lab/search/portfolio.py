@@ -74,7 +74,16 @@ class Portfolio(BiRRT):
         budget: Budget,
         rng: np.random.Generator,
     ) -> PlanResult:
-        """Search a path from the start to any goal; the arguments are those of `Search.search`."""
+        """Search a path from the start to any goal; the arguments are those of `Search.search`.
+
+        Args:
+            space: the planning space.
+            start: (n,) [rad or m].
+            goals: (k, n) [rad or m].
+            distribution: that samples are drawn from.
+            budget: of this search.
+            rng: random numbers.
+        """
         run = _Run(self, space, start, goals, distribution, budget, rng)
         turns, path, status = run.turns(), None, None
         while path is None and status is None:
