@@ -81,20 +81,22 @@ ROBOT_DETAILS: Options = {  # for robots given by name or by file
     "--base": option(
         "pose of the base: position [m], roll, pitch and yaw [rad]",
         type=_placement,
-        metavar="X,Y,Z[,R,P,Y]",
+        metavar="X,Y,Z[,ROLL,PITCH,YAW]",
     ),
     "--acceleration": option(
-        "acceleration limits, one for each joint or one for all [rad/s^2]; --trajectory needs them",
+        "acceleration limits, one per joint or one for all [rad/s^2 or m/s^2]; required by "
+        "--trajectory",
         type=partial(_limits, "--acceleration"),
         metavar="A[,A...]",
     ),
     "--jerk": option(
-        "jerk limits, given likewise [rad/s^3] (known for the panda; else no limit)",
+        "jerk limits, one per joint or one for all [rad/s^3 or m/s^3] (default: known for the "
+        "panda, else none)",
         type=partial(_limits, "--jerk"),
         metavar="J[,J...]",
     ),
     "--effort": option(
-        "effort limits, given likewise [Nm or N] (those of the URDF if plausible)",
+        "effort limits, one per joint or one for all [Nm or N] (default: those of the URDF if they are plausible)",
         type=partial(_limits, "--effort"),
         metavar="E[,E...]",
     ),
@@ -133,11 +135,11 @@ BUDGET: Options = {
 def robot_source(
     args: argparse.Namespace, problem_file: Path | None = None
 ) -> dict[str, Any] | None:
-    """Return the robot of the command line as a problem file describes it; None without one.
+    """Return the robot of the command line as json of a problem file; None if none is given.
 
     Args:
         args: parsed command line.
-        problem_file: file whose robot is changed by options without --robot or --urdf.
+        problem_file: its robot is changed by the options if neither --robot nor --urdf is given.
     """
     options = robot_options(args)
     if args.robot is not None and args.urdf is not None:
@@ -237,7 +239,7 @@ def chosen_problem(args: argparse.Namespace) -> PlanningProblem | Task:
 def with_clearance(
     args: argparse.Namespace, problem: PlanningProblem | Task
 ) -> PlanningProblem | Task:
-    """Return the problem with --clearance; a task has it as a margin: its hand touches objects."""
+    """Return the problem with --clearance; a task is unchanged: its hand must touch objects."""
     if not args.clearance or isinstance(problem, Task):
         return problem
     return replace(problem, clearance=args.clearance)

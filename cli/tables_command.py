@@ -70,8 +70,8 @@ def compare(args: argparse.Namespace) -> int:
     before, after = directory_rows(args.before), directory_rows(args.after)
     found, alone = compared(before, after), planners_of_one(before, after)
     print(
-        f"from A, {args.before}, to B, {args.after}; runs of both; changes over those that both "
-        "solved, 95 % intervals"
+        f"from A, {args.before}, to B, {args.after}; runs in both; changes over problems that "
+        "both solved, 95 % intervals"
     )
     print("\n".join(text_lines(comparison_lines(found))))
     print("\n".join(clear(found) or ["no clear change"]))
@@ -79,7 +79,7 @@ def compare(args: argparse.Namespace) -> int:
         if planners:
             print(f"in {run} alone, not compared: {', '.join(planners)}")
     broken = [line for rule in args.fail_if for line in rule.broken(found)]
-    if args.fail_if:  # a planner that vanished must not pass
+    if args.fail_if:  # a planner without runs in B counts as a failure
         broken += [f"{name}: B has no runs of it" for name in alone[0]]
     for line in broken:
         print(f"fails: {line}")
@@ -257,9 +257,9 @@ COMPARE: Options = {
         "another, of the same suite; the runs that both have are compared", type=Path, metavar="B"
     ),
     "--fail-if": option(
-        "exit with 1 if COLUMN OP NUMBER holds for a planner, where COLUMN is the ratio B/A of "
-        "time, work, checks, projections or length, or solved, B - A in percentage points; OP is "
-        "<, <=, > or >=; also if B lacks a planner of A; repeatable",
+        "exit with 1 if COLUMN OP NUMBER is true for a planner, such as 'time > 1.1', or if B "
+        "lacks a planner of A; COLUMN: time, work, checks, projections, length (ratio B/A) or "
+        "solved (B - A, percentage points); OP: <, <=, > or >=; repeatable",
         type=_rule,
         metavar="RULE",
         **REPEATED,
@@ -279,16 +279,17 @@ CLAIMS: Options = {
 }
 CHECK_TABLES: Options = {
     "folder": option(
-        "a folder of problem files, whose expectations are compared instead of the committed "
-        "ones: with the same processor and versions all values but times must be equal; with "
-        "others only reasons of failure, and sums may differ by --within",
+        "folder of problem files, compared with its own expectations instead of the committed "
+        "ones; with the same processor and versions all values except times must be equal, "
+        "otherwise reasons of failure must be equal and sums may differ by --within percent",
         type=Path,
         nargs="?",
         metavar="FOLDER",
     ),
     "--update": option("write the expectations instead of comparing", **FLAG),
     "--all": option(
-        "repeat all committed runs (the first of every planner in every suite, and a failure)",
+        "repeat all committed runs, not only the first run of each planner in each suite and one "
+        "failed run",
         **FLAG,
     ),
     "--within": option(
@@ -304,8 +305,8 @@ CHECK_TABLES: Options = {
     "--results": option("folder of results directories", type=Path, default=RESULTS, metavar="DIR"),
     "of a FOLDER": {
         "--planners": option(
-            "planners to guard: ours, an entry point, package.module:planner (all that are "
-            "expected)",
+            "planners to guard: a built-in planner, an entry point or package.module:planner "
+            "(default: all planners in the expectations)",
             type=planner_list,
             metavar="A,B",
         ),

@@ -38,27 +38,29 @@ def read_published(name: str, environment: str) -> tuple[PublishedValue, ...]:
 
 @dataclass(frozen=True)
 class Claim:
-    """Claim that each planner has less of a metric than every baseline, or solves more."""
+    """Claim that each planner has a smaller metric than every baseline, or a larger accuracy."""
 
-    metric: str  # of `measures.VALUES`; or accuracy, a share of solved runs
+    metric: str  # name in `measures.VALUES`, or "accuracy": the fraction of runs that are solved
     planners: tuple[str, ...]
-    title: str  # in our words
-    paper: str  # in the paper's
-    suite: str  # the results directory that judges it
+    title: str  # our wording of the claim
+    paper: str  # the paper's wording
+    suite: str  # results directory whose rows judge the claim
     baselines: tuple[str, ...] = ()
-    # What a failed run counts as: the cut-off of the rows, the largest number of a run that one of
-    # both solved, or a number. None: compared is what both solved.
+    # Value that stands for a failed run: "rows", the cut-off of the rows; "largest", the largest value
+    # of a run that one of the two planners solved; or a number. None: only problems that both
+    # planners solved are compared.
     cutoff: Literal["rows", "largest"] | float | None = None
-    margin: float = -math.log(0.9)  # up to it is no difference; of shares as a fraction
-    similar: bool = False  # whether the claim is that no more than the margin is lost
+    # largest change that counts as no difference: of a log ratio, or of a fraction for accuracy
+    margin: float = -math.log(0.9)
+    similar: bool = False  # whether the claim is that at most `margin` is lost, not a gain
     by_kind: bool = False  # whether each kind of problem is a comparison of its own
-    runs: int | None = None  # of one planner in the paper's study
+    runs: int | None = None  # number of runs of one planner in the paper
     untestable: str = ""  # why no rows can answer it, or ""
     published: str = ""  # the paper's name of the metric where ours differs
-    # another results directory, of new problems: judges anew the comparisons that it has
+    # results directory with new problems; its rows replace the comparisons that it contains
     again: str = ""
-    remark: str = ""  # what a reader must know to take the numbers rightly
-    why: str = ""  # of the verdict, in one line; the README shows the claims that have one
+    remark: str = ""  # note that a reader needs to interpret the numbers
+    why: str = ""  # reason of the verdict in one line; the README shows claims that have one
 
     @property
     def is_share(self) -> bool:
@@ -80,6 +82,7 @@ def _claim(item: dict[str, Any]) -> Claim:
 
 _FILE = tomllib.loads((PUBLISHED / "claims.toml").read_text(encoding="utf-8"))
 READING: list[str] = _FILE["reading"]
-BECAUSE: str = _FILE["because"]  # why the words are what they are, in two sentences
-STEPS: list[tuple[str, str, str]] = _FILE["steps"]  # what is added, planner, against
+BECAUSE: str = _FILE["because"]  # two sentences on the wording of the claims
+# (component that is added, planner with it, planner without it)
+STEPS: list[tuple[str, str, str]] = _FILE["steps"]
 CLAIMS = tuple(map(_claim, _FILE["claim"]))

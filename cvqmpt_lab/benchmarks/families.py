@@ -40,7 +40,7 @@ def random_scene(seed: int, n_cubes: int = 8, n_spheres: int = 8) -> Scene:
 
 
 def _scattered(rng: np.random.RandomState, count: int, lift: float) -> FloatArray:
-    """Draw points (count, 3) [m] in a spherical shell around a point `lift` [m] above the base."""
+    """Draw points (count, 3), 0.4 to 1.2 m from a point `lift` [m] above the base."""
     distance = rng.uniform(0.4, 1.2, count)
     elevation = rng.uniform(-0.25 * math.pi, 0.5 * math.pi, count)
     azimuth = rng.uniform(0.0, 2.0 * math.pi, count)
@@ -69,7 +69,7 @@ def family_scene(family: str, number: int) -> Scene:
 
 
 def another_scene() -> Scene:
-    """Return the scene that controls (ablations) get in place of the problem's scene."""
+    """Return the scene that ablation runs get in place of the problem's scene."""
     return family_scene("shelves", 77)
 
 
@@ -176,7 +176,7 @@ def _cabinet(
         name: start of the names of its pieces.
         T: (4, 4) rotation about the robot.
         rng: random numbers for the items.
-        size: distance from the robot, depth, width [m].
+        size: (distance of the front from the robot, depth, width) [m].
         levels: heights of the boards [m].
         board: thickness of boards and walls [m].
     """
@@ -201,7 +201,7 @@ def _cabinet(
 
 
 def _random_kitchen(rng: np.random.Generator, spread: float = 0.2) -> tuple[SceneObject, ...]:
-    """Draw a kitchen with random dimensions and random values of doors and drawers.
+    """Draw a kitchen: half of its dimensions and the joints of doors and drawers are random.
 
     spread: largest relative difference of a dimension from the published one.
     """

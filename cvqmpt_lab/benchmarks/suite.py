@@ -13,7 +13,7 @@ from cvqmpt_lab.results.row import cell_text, natural_key
 from cvqmpt_lab.robot.source import content_digest
 from cvqmpt_lab.scene.scene_files import named_files
 
-_FOLDERS: dict[str, Suite] = {}  # by full path; forked workers find the suites read before
+_FOLDERS: dict[str, Suite] = {}  # by full path of the folder; forked workers inherit them
 
 
 def folder_suite(folder: Path) -> Suite:
@@ -38,12 +38,12 @@ def folder_suite(folder: Path) -> Suite:
         if file.resolve() in scenes or str(data.get("schema")).startswith("cvqmpt-expectations/"):
             continue
         problem = PlanningProblem.load(file)
-        # a slash, after which rows name the phase of a task, becomes a hyphen
+        # replace "/": in rows, the part after it is the phase of a task
         name = problem.name.replace("/", "-")
         if cell_text(name) != name:
             raise InvalidInputError(
-                f"{file}: name {name!r} cannot stand in a table: no =, +, - or @ first, no blanks "
-                "around or in a row"
+                f"{file}: name {name!r} cannot stand in a table: it must not start with =, +, - "
+                "or @, nor have leading, trailing or consecutive blanks"
             )
         if name in paths:
             raise InvalidInputError(
@@ -55,7 +55,7 @@ def folder_suite(folder: Path) -> Suite:
             digest.update(content_digest(str(other)).encode())
         for _, content in problem.robot.files:
             digest.update(content.encode())
-        # most have their name already, and a change checks the whole problem again
+        # keep a problem whose name is unchanged: `changed` validates the whole problem again
         problems[name] = problem if name == problem.name else problem.changed(name=name)
         digests[name], paths[name] = digest.hexdigest(), file
     if not problems:

@@ -80,7 +80,7 @@ def _into_shelf(
 
 
 class CarryingLayout(NamedTuple):
-    """A kind of problem; lengths in shares of the reach of an arm."""
+    """A kind of problem; lengths are fractions of the reach of an arm (dimensionless)."""
 
     size: tuple[float, float, float]  # of the carried object
     start: tuple[float, float, float]  # its centre, from the middle between the shoulders
@@ -142,9 +142,10 @@ def shoulders(robot: Robot) -> tuple[np.ndarray, float]:
 def hold(
     robot: Robot, kind: str, poses: int = 12
 ) -> tuple[Attachment, np.ndarray, tuple[TaskSpaceRegion, ...]]:
-    """Return the grasps at both sides of an object that inverse kinematics reaches most often.
+    """Return the pair of grasps, one at each side of an object, that is reached most often.
 
-    Hands point forward, to each other, or down, and are turned about this direction by quarters.
+    Hands point forward, to each other, or down, and are rotated about this direction in steps of 90
+    deg. Of both hands the smaller number of collision-free inverse kinematics solutions counts.
 
     Args:
         robot: with two end effectors.
@@ -212,7 +213,7 @@ def _grasp(
 
 
 def two_arms_problem(index: int) -> PlanningProblem | UnsolvableProblem:
-    """Return problem index % 30 of a robot (baxter, tiago-pro) and a kind of `CARRYING_LAYOUTS`."""
+    """Return problem index % 30 of pair index // 30 of robot (baxter, tiago-pro) and layout."""
     number, k = divmod(index, 30)
     robot, kind = tuple(product(("baxter", "tiago-pro"), CARRYING_LAYOUTS))[number]
     made = carrying_problem(robot_from_source({"name": robot}), kind, k)
@@ -220,7 +221,7 @@ def two_arms_problem(index: int) -> PlanningProblem | UnsolvableProblem:
 
 
 def peers_problem(index: int, each: int = 10) -> PlanningProblem | UnsolvableProblem:
-    """Return one of baxter's first 10 trays over a table, or through a window, with one goal.
+    """Return a problem of baxter with one goal, for external planners: a tray, table or window.
 
     Args:
         index: 0 to 19.
@@ -262,7 +263,7 @@ def carrying_problem(
         checker = CollisionChecker(robot, scene, (item,), margin=SAMPLE_MARGIN_M)
         ends_found, near = [], None
         for region in regions:
-            # a goal in a posture like the start's: the hands cannot change it while they hold
+            # draw the goal near the start's posture: a closed chain cannot change its posture
             found = find_in_region(
                 robot, region, checker, rng, count=1, within=constraint, near=near
             )

@@ -151,7 +151,7 @@ def report_lines(found: DryRun, contents: dict[str, Any]) -> list[str]:
 
 
 def _proven(clearance: Clearance) -> str:
-    """Return in words what distance is proven of every state."""
+    """Return in words the lower bound on the distance over all states, or that there is none."""
     if not math.isfinite(clearance.at_least_m):
         return "the least found"
     return f"at least {1e3 * max(clearance.at_least_m, 0.0):.2f} mm everywhere"

@@ -1,10 +1,10 @@
-"""A grid of lower bounds on distances to obstacles: balls with smaller radius are free.
+"""Grid of lower bounds on obstacle distances: a ball below the bound of its cell is free.
 
 Each cell holds a lower bound, rounded down to a byte; each list block of 2^3 cells lists the
 obstacles nearby. The grid is filled by blocks of 8^3 cells: each obstacle that can matter inside a
-block lowers the distances of all its cells. For a box along the axes, squared distances are sums of
-one term an axis, 24 in all: each of 512 cells costs an addition and a comparison. Turned boxes are
-measured cell by cell, where they can be nearest.
+block lowers the distances of all its cells. For an axis-aligned box, a squared distance is the sum
+of one term per axis (24 terms a block): each of 512 cells costs a square root, two additions and a
+comparison. Turned boxes are measured cell by cell, where they can be nearest.
 
 In all functions `bounds` (k, BOUNDS_COLUMNS) are oriented boxes around obstacles: rotation by rows,
 centre, half edges, inflation [m].
@@ -17,7 +17,7 @@ import numpy as np
 from cvqmpt_lab.base.jit import entry, kernel
 
 GRID_RANGE_M = 0.3  # distances are cut off here
-GRID_STEP_M = GRID_RANGE_M / 255.0  # of a stored byte
+GRID_STEP_M = GRID_RANGE_M / 255.0  # distance of one unit of a stored byte
 GRID_REACH_M = 0.13  # radius of the largest ball whose neighbours are listed
 BLOCK_CELLS = 8  # along the edge of a block
 BLOCK_LISTS = 4  # list blocks along the edge of a block
@@ -67,15 +67,15 @@ def _relevant(bounds, grid, corner, candidates, near, kept):
     """Keep the candidates that can be nearest somewhere in a block, or are within GRID_REACH_M.
 
     Args:
-        bounds: of all obstacles.
+        bounds: boxes around all obstacles.
         grid: the grid.
-        corner: of the block (3,) [m].
+        corner: corner of the block (3,) [m].
         candidates: rows of obstacles (c,).
-        near: distances of those kept from the block (c,) [m]; written.
-        kept: their rows (c,); written.
+        near: distances from the block to the obstacles that are kept (c,) [m]; written.
+        kept: rows of the obstacles that are kept (c,); written.
 
     Returns:
-        Number of those kept.
+        Number of obstacles that are kept.
     """
     half, nearest, n = 0.5 * BLOCK_CELLS * grid.cell, GRID_RANGE_M, 0
     x, y, z = corner[0] + half, corner[1] + half, corner[2] + half
@@ -91,9 +91,9 @@ def _relevant(bounds, grid, corner, candidates, near, kept):
 
 @kernel
 def _gaps(low, high, first, edge, gaps):
-    """Write squared distances [m^2] between low..high and consecutive intervals from `first` on.
+    """Write squared distances [m^2] from the interval low..high to consecutive intervals.
 
-    edge: length of an interval [m].
+    first: start of the first interval [m]; edge: length of each interval [m].
     """
     for k in range(gaps.shape[0]):
         gap = max(low - (first + (k + 1) * edge), first + k * edge - high, 0.0)
@@ -112,7 +112,7 @@ def _lower(best, x, yz, inflation):
 
 @kernel
 def _add_straight(bounds, i, grid, matters, work):
-    """Lower the distances of a block's cells to those from a box along the axes, and list it.
+    """Lower the distances of a block's cells to those from an axis-aligned box; list the box.
 
     matters: False when no distance of the block can be lowered.
     """
@@ -140,7 +140,7 @@ def _add_straight(bounds, i, grid, matters, work):
 
 @kernel
 def _add_turned(bounds, i, grid, work):
-    """Lower the distances of a block's cells to those from a turned box, and list it."""
+    """Lower the distances of a block's cells to those from a turned box; list the box."""
     edge, corner, upper, best = grid.cell, work.corner, work.upper, work.best
     for s in range(BLOCK_LISTS**3):
         lx, ly, lz = 2 * (s >> 4), 2 * (s >> 2 & 3), 2 * (s & 3)
@@ -175,7 +175,7 @@ def _store(grid, bx, by, bz, best):
             for cz in range(BLOCK_CELLS):
                 c = BLOCK_CELLS * cy + cz
                 nearest = best[cx, c]
-                # a nanometre is more than the rounding of a computed distance
+                # subtract 1e-9 m, which exceeds the rounding error of a computed distance
                 steps = 255 if nearest >= GRID_RANGE_M else max(nearest - 1e-9, 0.0) / GRID_STEP_M
                 x, y, z = BLOCK_CELLS * bx + cx, BLOCK_CELLS * by + cy, BLOCK_CELLS * bz + cz
                 grid.distance[x, y, z] = np.uint8(steps)
@@ -208,7 +208,7 @@ def _add_all(bounds, grid, kept, near, n, work):
             _add_straight(bounds, i, grid, near[k] < farthest, work)
         else:
             _add_turned(bounds, i, grid, work)
-        if k % 16 == 15:  # now and then: it costs as much as an obstacle
+        if k % 16 == 15:  # only every 16th: it costs as much as adding an obstacle
             farthest = 0.0
             for distances in work.best:
                 for distance in distances:
@@ -230,7 +230,8 @@ def fill_blocks(
     Args:
         bounds: of all obstacles.
         grid: the grid.
-        block_start: first of `block_items` of each block, and their number.
+        block_start: (blocks + 1,) index in `block_items` of each block's first obstacle; the last
+            entry is the length of `block_items`.
         block_items: rows of the obstacles within GRID_RANGE_M of each block.
         work: work arrays.
         first: block to begin with.
@@ -354,7 +355,7 @@ def cell_of(grid, x, y, z):
 
 @kernel(inline="machine")
 def known_distance(grid, ix, iy, iz):
-    """Lower bound on the distance of an obstacle from a cell [m].
+    """Lower bound on the distance from a cell to the nearest obstacle [m].
 
     Args:
         grid: a `DistanceGrid`.

@@ -100,7 +100,9 @@ class RobotGeometry(NamedTuple):
     skip: Annotated[np.ndarray, "int64 balls"]  # See `SphereTrees`
     leaf: Annotated[np.ndarray, "int64 balls"]  # Piece in each ball, or -1
     body_link: Annotated[np.ndarray, "int64 bodies"]  # Pose row of each body
-    body_start: Annotated[np.ndarray, "int64 starts"]  # First ball of each body; then their number
+    body_start: Annotated[
+        np.ndarray, "int64 starts"
+    ]  # First ball of each body; last: number of balls
     order: Annotated[np.ndarray, "int64 checked"]  # Bodies to check against obstacles, tip first
     pairs: Annotated[np.ndarray, "int64 pairs 2"]  # Bodies to check against each other
     largest: float  # Radius of the largest ball at a leaf [m]
@@ -111,7 +113,7 @@ class SceneGeometry(NamedTuple):
 
     shapes: ConvexShapes  # All items
     bounds: Annotated[np.ndarray, "items 16"]  # Oriented boxes around them, see `distance_grid`
-    # Of each item's primitives; a shape has none
+    # Index in `primitives` of each item's first primitive (items + 1,); obstacles have none
     primitive_start: Annotated[np.ndarray, "int64 ranges"]
     # Centres and half edges in their items' frames [m]
     primitives: Annotated[np.ndarray, "primitives 6"]
@@ -173,7 +175,7 @@ def _bodies(
 
 
 def _cut(spec: ShapeSpec, pieces: list[ShapeSpec]) -> list[Piece]:
-    """Append the pieces of one geometry, cylinders and spheres whole; return a tree's leaves."""
+    """Append the convex pieces of a geometry (cylinders, spheres uncut); return its leaves."""
     points = outline(spec)
     parts = [points] if spec.kind == SPHERE else cut_into_pieces(points)
     if spec.kind not in (HULL, BOX) or len(parts) == 1:
@@ -226,7 +228,7 @@ def scene_geometry(
 
 
 def _bounds(specs: Sequence[ShapeSpec], packed: ConvexShapes) -> np.ndarray:
-    """Oriented boxes (n, BOUNDS_COLUMNS) around shapes, inflated; exact for boxes and spheres."""
+    """Oriented inflated boxes (n, BOUNDS_COLUMNS) around shapes; equal to boxes and spheres."""
     turns = packed.rotation.reshape(-1, 9)
     bounds = np.column_stack([turns, packed.translation, packed.size, packed.radius])
     for row, spec in zip(bounds, specs, strict=True):

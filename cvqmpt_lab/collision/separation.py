@@ -2,9 +2,10 @@
 
 "Separated" is proven: it is returned only where an empty slab between both shapes was measured. The
 inner step finds the nearest point to the origin on a simplex of up to four points, by the
-Voronoi-region tests in Ericson, "Real-Time Collision Detection", section 5.1. Its functions return
-``(n, p0, p1, p2, v)``: the smallest face that carries the nearest point (its first n points count)
-and that point v. Points are tuples of three floats [m].
+Voronoi-region tests in Ericson, "Real-Time Collision Detection", section 5.1. The functions of this
+step return ``(n, p0, p1, p2, v)``: the n corners of the smallest face that holds the nearest point
+(entries after the n-th are unused) and that point v. n = 4: the origin is enclosed, and v is zero.
+Points are tuples of three floats [m].
 """
 
 from typing import Annotated, NamedTuple
@@ -15,7 +16,20 @@ from cvqmpt_lab.base.jit import kernel
 
 HULL, BOX, CYLINDER, SPHERE = 0, 1, 2, 3  # kinds of convex shapes
 MAX_HULL_VERTICES = 1 << 16
-IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)  # a pose
+IDENTITY = (
+    1.0,
+    0.0,
+    0.0,
+    0.0,
+    1.0,
+    0.0,
+    0.0,
+    0.0,
+    1.0,
+    0.0,
+    0.0,
+    0.0,
+)  # pose: rotation by rows, translation [m]
 
 
 @kernel
@@ -83,9 +97,9 @@ def _nearest_on_triangle(a, b, c):
 
 @kernel
 def _beyond_face(a, b, c, opposite):
-    """Whether the origin may lie beyond face abc, seen from the opposite corner.
+    """Whether the origin may be on the other side of face abc than the opposite corner.
 
-    Also true of a tetrahedron so flat that rounding decides.
+    Also true for a tetrahedron so flat that rounding errors decide the sign.
     """
     normal = _cross(_minus(b, a), _minus(c, a))
     side_origin = -dot(a, normal)
@@ -99,7 +113,7 @@ def _beyond_face(a, b, c, opposite):
 
 @kernel
 def _nearest_on_tetrahedron(a, b, c, d):
-    """Nearest point on tetrahedron abcd, where d is the newest corner; n = 4 when it encloses."""
+    """Nearest point to the origin on tetrahedron abcd, d its newest corner; n = 4: it is inside."""
     found, best = (4, a, b, c, (0.0, 0.0, 0.0)), np.inf
     for p, q, opposite in ((a, b, c), (b, c, a), (c, a, b)):
         if _beyond_face(d, p, q, opposite):
@@ -131,7 +145,7 @@ def nearest_on_simplex(n, p0, p1, p2, newest):
 
 
 class ConvexShapes(NamedTuple):
-    """Convex shapes: a core (below) inflated by ``radius``; a sphere is an inflated point.
+    """Convex shapes: a core (see `Core`) inflated by ``radius``; a sphere is an inflated point.
 
     Vertices of hulls are in the owner's frame: ``rotation`` is identity, ``translation`` zero.
     """
@@ -145,16 +159,16 @@ class ConvexShapes(NamedTuple):
     translation: Annotated[np.ndarray, "shapes 3"]  # Position of the core in its owner's frame [m]
     vertex_start: Annotated[np.ndarray, "int64 shapes"]  # First column of ``vertices``
     vertex_count: Annotated[np.ndarray, "int64 shapes"]  # Number of columns of ``vertices``
-    # of all hulls, a row a coordinate, so that loops vectorise [m]
+    # vertices of all hulls, one row per coordinate, so that loops vectorise [m]
     vertices: Annotated[np.ndarray, "3 vertices"]
 
 
 @kernel(inline="machine")
 def _hull_support(x, y, z, size, d):
-    """Vertex s_H(d) = argmax_x x . d among x, y, z (n,), to about 1e-10 of the hull's size.
+    """Vertex s_H(d) = argmax_p p . d among the vertices p, to about 1e-10 of the hull's size.
 
-    The low bits of each (positive) projection hold the index of its vertex: the search becomes a
-    maximum of integers, the only form that compiles to vector instructions.
+    The low bits of each projection, made positive, hold the index of its vertex: the search becomes
+    a maximum of integers, the only form that compiles to vector instructions.
 
     Args:
         x: coordinates of the vertices (n,) [m].
@@ -186,7 +200,7 @@ class Core(NamedTuple):
 
 @kernel(inline="machine")
 def compose(r, t, pose):
-    """Pose (12-tuple) followed by rotation r (3, 3) and translation t (3,) inside it."""
+    """Product of a pose (12-tuple) and the pose (r (3, 3), t (3,)) given in its frame."""
     return (
         pose[0] * r[0, 0] + pose[1] * r[1, 0] + pose[2] * r[2, 0],
         pose[0] * r[0, 1] + pose[1] * r[1, 1] + pose[2] * r[2, 1],
@@ -267,7 +281,7 @@ def _widest_slab(a, b, axis, limit):
         a: a core; a hull must be in its owner's frame (its pose is not applied).
         b: another core.
         axis: first direction, 3-tuple from b towards a of any length.
-        limit: width to decide about [m].
+        limit: width [m]; the search stops as soon as it is known whether a slab is wider.
 
     Returns:
         The width; zero or less where no slab was found.
@@ -277,7 +291,7 @@ def _widest_slab(a, b, axis, limit):
     p0 = p1 = p2 = axis
     widest = -np.inf
     known = False
-    for _ in range(64):  # a few are enough but for rounding
+    for _ in range(64):  # converges in a few iterations, except for rounding errors
         length = np.sqrt(dot(v, v))
         away = (-v[0], -v[1], -v[2])
         s_a = _support(a, away) if a.kind == HULL else _posed_support(a, away)
@@ -309,9 +323,9 @@ def separated(a, i, b, j, pose, axis, margin):
         i: number of a shape of a.
         b: shapes.
         j: number of a shape of b.
-        pose: of b's owner in the frame of a's owner (12-tuple).
+        pose: pose of b's owner in the frame of a's owner (12-tuple).
         axis: first direction, 3-tuple from b towards a of any length, in the frame of a's owner.
-        margin: [m].
+        margin: least width of the slab between the inflated shapes [m].
     """
     inflation = a.radius[i] + b.radius[j]
     widest = _widest_slab(_core(a, i, IDENTITY), _core(b, j, pose), axis, margin + inflation)
@@ -327,9 +341,9 @@ def box_separated(a, i, half, radius, pose, axis, margin):
         i: number of a shape of a.
         half: half edges of the box, 3-tuple [m]; zero for a ball.
         radius: inflation of the box [m].
-        pose: of the box in the frame of a's owner (12-tuple).
+        pose: pose of the box in the frame of a's owner (12-tuple).
         axis: first direction, as in `separated`.
-        margin: [m].
+        margin: least width of the slab between the inflated shapes [m].
     """
     none = a.vertices[0, :0]
     box = Core(np.int64(BOX), half, none, none, none, pose)

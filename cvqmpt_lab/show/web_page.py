@@ -45,7 +45,7 @@ def save_page(
         solution: a solution of a problem or task.
         path: the file to write.
         carried: objects drawn in the hand if the problem has no attachments.
-        most_states: a path of more states is resampled to equal distances.
+        most_states: a path of more states is resampled to this number, at equal distances.
     """
     write_text(path, _html(drawing_of_solution(solution, carried, most_states, plots=True)))
 
@@ -64,7 +64,7 @@ def path_html(
         states: states (m, n) of the path [rad or m].
         verdict: last part of the title, e.g. "certified path of birrt".
         carried: objects drawn in the hand if the problem has no attachments.
-        most_states: a path of more states is resampled to equal distances.
+        most_states: a path of more states is resampled to this number, at equal distances.
     """
     return _html(
         drawing_of_problem(
@@ -86,11 +86,11 @@ def _html(drawing: Drawing, size: tuple[int, int] = (1100, 600)) -> str:
         drawing: the drawing.
         size: width and height [pixels] for which the initial viewpoint is chosen.
     """
-    # the initial viewpoint shows the robot at the start of a task, or at both ends of a path,
+    # choose a viewpoint that shows the robot at the start of a task, or at both ends of a path
     ends = (0,) if drawing.times is not None else (0, len(drawing.labels) - 1)
     robot = [body for body in drawing.moving if body.layer == "robot"]
     views = [mesh_in_view(robot, k) for k in ends]
-    # and has the whole motion in the picture, checked at about ten states
+    # and that contains the whole motion, tested at about ten states
     count = len(drawing.labels)
     inside = [mesh_in_view(drawing.moving, k) for k in range(0, count, max(1, count // 10))]
     torso = mesh_of(body for body in robot if body.torso)
@@ -106,7 +106,7 @@ def _html(drawing: Drawing, size: tuple[int, int] = (1100, 600)) -> str:
         "lines": list(drawing.lines),
         "states": len(labels),
         "labels": labels,
-        # duration of the animation
+        # duration of the animation [s]
         "seconds": 6.0 if drawing.times is None else max(float(drawing.times[-1]), 1.0),
         "camera": {
             "target": list(map(float, viewpoint.target)),
