@@ -96,7 +96,8 @@ ROBOT_DETAILS: Options = {  # for robots given by name or by file
         metavar="J[,J...]",
     ),
     "--effort": option(
-        "effort limits, one per joint or one for all [Nm or N] (default: those of the URDF if they are plausible)",
+        "effort limits, one per joint or one for all [Nm or N] (default: those of the URDF if they "
+        "are plausible)",
         type=partial(_limits, "--effort"),
         metavar="E[,E...]",
     ),

@@ -46,9 +46,9 @@ class Claim:
     paper: str  # the paper's wording
     suite: str  # results directory whose rows judge the claim
     baselines: tuple[str, ...] = ()
-    # Value that stands for a failed run: "rows", the cut-off of the rows; "largest", the largest value
-    # of a run that one of the two planners solved; or a number. None: only problems that both
-    # planners solved are compared.
+    # Value that stands for a failed run: "rows", the cut-off of the rows; "largest", the largest
+    # value of a run that one of the two planners solved; or a number. None: only problems that
+    # both planners solved are compared.
     cutoff: Literal["rows", "largest"] | float | None = None
     # largest change that counts as no difference: of a log ratio, or of a fraction for accuracy
     margin: float = -math.log(0.9)
