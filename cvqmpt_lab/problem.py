@@ -41,7 +41,6 @@ from cvqmpt_lab.collision.carried import reach_with
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.goals import SAMPLE_MARGIN_M, find_in_region
 from cvqmpt_lab.constraints.named import Region
-from cvqmpt_lab.constraints.no_goal import contradiction, why_none
 from cvqmpt_lab.constraints.project import PROJECTION_TOLERANCE
 from cvqmpt_lab.constraints.region_constraint import RegionConstraint
 from cvqmpt_lab.constraints.report import bounds_text, broken_bound, displacements
@@ -217,6 +216,8 @@ class PlanningProblem(Document):
             self.robot, self.start_region, checker, rng, count=1, within=self.constraint
         )
         if len(found.configurations) == 0:
+            from cvqmpt_lab.constraints.no_goal import why_none  # for errors alone
+
             why = why_none(self.robot, self.start_region, checker, self.constraint)
             raise InvalidProblemError(
                 f"{self.name}: no start in 'start_region': {found.outcome}; {why}"
@@ -255,6 +256,8 @@ class PlanningProblem(Document):
 
     def why_no_goal(self) -> str:
         """Return why no configuration was found for the goal region, in words; see `why_none`."""
+        from cvqmpt_lab.constraints.no_goal import why_none  # for errors alone
+
         assert self.goal_region is not None
         return why_none(
             self.robot, self.goal_region, self.collision_checker(SAMPLE_MARGIN_M), self.constraint
@@ -398,6 +401,8 @@ def _off_manifold(
         broken_bound(region, displacements(problem.robot, region, states))
         for region in problem.constraint
     ]
+    from cvqmpt_lab.constraints.no_goal import contradiction  # for errors alone
+
     if against := contradiction(problem.robot, problem.constraint):
         cure = f"{against}; move, widen or leave out a region"
     off = np.linalg.norm(problem.manifold.residual(states), axis=1).min()

@@ -7,7 +7,6 @@ from functools import partial
 
 import numpy as np
 
-from cvqmpt_lab.benchmarks.families import another_scene
 from cvqmpt_lab.collision.arrays import scene_arrays
 from cvqmpt_lab.collision.carried import reach_with
 from cvqmpt_lab.search.anytime import unconstrained_path
@@ -50,6 +49,8 @@ def no_costs(space: ConstrainedSpace) -> EdgeCosts:
 def other_costs(space: ConstrainedSpace) -> EdgeCosts:
     """Edge costs in another scene than the space's."""
     reach = reach_with(space.robot, space.attachments)
+    from cvqmpt_lab.benchmarks.families import another_scene  # no plan but an ablation needs it
+
     return scene_costs(space)._replace(grid=scene_arrays(another_scene(), reach).grid)
 
 
@@ -58,7 +59,11 @@ def planner_of(name: str) -> Method | None:
     if not name.startswith(PREFIX):
         return None
     choice = SamplerChoice.of(name.removeprefix(PREFIX))
-    return product(name, choice, another_scene()) if choice.cloud == "other-cloud" else None
+    if choice.cloud != "other-cloud":
+        return None
+    from cvqmpt_lab.benchmarks.families import another_scene
+
+    return product(name, choice, another_scene())
 
 
 def controls() -> list[Method]:
