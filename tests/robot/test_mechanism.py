@@ -183,7 +183,8 @@ def test_robots_of_one_joint_are_planned_for(tmp_path, kind, wall, carried, back
         assert solution.certificate.reasons == ()
         assert 0.0 < solution.certificate.min_clearance_m < 0.5
         assert time_path(solution.path.states, robot.joint_limits).duration > 0.0
-    refused("1 joints and 6 bounded rows", solve, problem, planner_named("atlas-rrt"), ENOUGH, seed=0)
+    told = "1 joints and 6 bounded rows"
+    refused(told, solve, problem, planner_named("atlas-rrt"), ENOUGH, seed=0)
 
 
 def test_an_srdf_that_keeps_overlapping_pairs_is_named_by_the_pair(slider_arm_urdf, tmp_path):
