@@ -33,7 +33,6 @@ from cvqmpt_lab.constraints.reach_free import (
     COLLIDING_POSE,
     UNREACHABLE_POSE,
     UNTRIED_POSE,
-    VISIT,
     Poses,
     Seeds,
     reach_free,
@@ -461,7 +460,8 @@ def _reached(
         scene_arrays(problem.scene, reach_with(robot, problem.attachments), problem.clearance),
         SAMPLE_MARGIN_M,
         _seeds(robot, np.array(seeds), problem.goal_region.end_effector),
-        np.zeros((VISIT, len(T)), dtype=np.int64),
+        # one attempt: Newton's method from the same seed ends the same way again
+        np.zeros((1, len(T)), dtype=np.int64),
         len(seeds),
         POSE_TOLERANCE,
         5 * POSE_STEPS,
