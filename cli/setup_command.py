@@ -95,16 +95,18 @@ def _weights() -> Iterator[Finding]:
 
 def _kernels() -> Finding:
     try:
-        from cvqmpt_lab.base.jit import compiled_before, folder
+        from cvqmpt_lab.base import jit
     except ImportError as error:
         cure = "pip install --force-reinstall numba llvmlite"
         return Finding("kernels", f"numba cannot be used: {error}", cure)
-    if folder() is None:
+    if jit.folder() is None:
         cure = "set NUMBA_CACHE_DIR to a writable folder"
         return Finding("kernels", "no folder to store them", cure, needed=False)
-    if not compiled_before():
-        return Finding("kernels", f"not compiled yet in {folder()}", "cvqmpt warmup", needed=False)
-    return Finding("kernels", f"compiled in {folder()}")
+    if not jit.compiled_before():
+        return Finding(
+            "kernels", f"not compiled yet in {jit.folder()}", "cvqmpt warmup", needed=False
+        )
+    return Finding("kernels", f"compiled in {jit.folder()}")
 
 
 def warmup(args: argparse.Namespace) -> None:

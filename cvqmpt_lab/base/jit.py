@@ -47,24 +47,13 @@ INLINE_OPTIONS: dict[str | None, dict] = {
     "source": {"inline": "always"},
 }
 SCALAR_TYPES = {float: types.float64, int: types.int64, bool: types.boolean}
-
-
-def _kernel_files() -> list[Path]:
-    """Return the files of the package that have compiled functions.
-
-    `cli`, `experiments` and `paper_tables` have none. In a check-out they are links, which are not
-    followed; they are left out by name, so that an installed wheel has the same digest.
-    """
-    package = Path(__file__).parents[1]
-    linked = {package / name for name in ("cli", "experiments", "paper_tables")}
-    return [
-        file
-        for file in sorted(package.rglob("*.py"))
-        if not linked & {*file.parents} and b"cvqmpt_lab.base.jit" in file.read_bytes()
-    ]
-
-
-KERNEL_FILES = _kernel_files()
+# A wheel must find the same files as a check-out, where cli, experiments and paper_tables are links
+# that are not followed: no file of these folders may name this module in full.
+KERNEL_FILES = [
+    file
+    for file in sorted(Path(__file__).parents[1].rglob("*.py"))
+    if b"cvqmpt_lab.base.jit" in file.read_bytes()
+]
 # digest of all files with kernels: numba does not notice a change of a function that is called
 KERNELS_DIGEST = sources_digest(*KERNEL_FILES)
 
