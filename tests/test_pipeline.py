@@ -63,11 +63,11 @@ class Careless:
     def __init__(self):
         self.calls = 0
 
-    def search(self, space, start, goals, *others):
+    def search(self, query, distribution):
         """Return the straight line at first, then what `BiRRT` finds."""
         self.calls += 1
-        found = BiRRT().search(space, start, goals, *others)
-        line = JointPath(np.linspace(start, goals[0], 200))
+        found = BiRRT().search(query, distribution)
+        line = JointPath(np.linspace(query.start, query.goals[0], 200))
         return replace(found, status=PlanStatus.SOLVED, path=line) if self.calls == 1 else found
 
 

@@ -24,6 +24,7 @@ from cvqmpt_lab.base.values import frozen
 from cvqmpt_lab.collision.arrays import robot_arrays, scene_arrays
 from cvqmpt_lab.collision.carried import reach_with
 from cvqmpt_lab.collision.exact import CollisionChecker
+from cvqmpt_lab.constraints.problem_parts import ProblemParts
 from cvqmpt_lab.constraints.project import (
     PROJECTION_TOLERANCE,
     projection_scratch,
@@ -42,7 +43,6 @@ from cvqmpt_lab.constraints.regions import Regions
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, TaskSpaceRegionChain
 from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.robot import Robot, nearest_turn
-from cvqmpt_lab.scene.scene import Attachment, Scene
 
 MAX_GOALS = 20
 POSE_TOLERANCE = 1e-6  # [m, rad] of inverse kinematics
@@ -129,32 +129,8 @@ def first_guesses(
     return near + SEED_STD_RAD * rng.standard_normal(shape)
 
 
-class GoalProblem(Protocol):
-    """The parts of a planning problem that goals depend on, see `PlanningProblem`."""
-
-    @property
-    def robot(self) -> Robot:
-        """The robot."""
-
-    @property
-    def scene(self) -> Scene:
-        """Obstacles."""
-
-    @property
-    def attachments(self) -> tuple[Attachment, ...]:
-        """Bodies that the robot carries."""
-
-    @property
-    def clearance(self) -> float:
-        """Distance kept from obstacles [m]."""
-
-    @property
-    def start(self) -> np.ndarray:
-        """Start configuration (n,) [rad or m]."""
-
-    @property
-    def goals(self) -> np.ndarray:
-        """Given goal configurations (k, n) [rad or m]."""
+class GoalProblem(ProblemParts, Protocol):
+    """The parts of a planning problem that goals depend on."""
 
     @property
     def goal_region(self) -> TaskSpaceRegion | None:

@@ -179,7 +179,7 @@ def restarted(
         goals, samples = informed_samples(query, best.length, stretches[number // 2 % 6])
         most = 60
     bounded = replace(rest, iterations=min(most, rest.iterations or most))
-    return method.search(query.space, start, goals, samples, bounded, query.rng).path
+    return method.search(query.limited(bounded, goals=goals), samples).path
 
 
 def informed_roadmap_path(
@@ -307,7 +307,7 @@ def short_path(
     space: ConstrainedSpace, query: Query, budget: Budget
 ) -> tuple[JointPath | None, PlanResult]:
     """Return a shortened path from a query's start to a goal, or None; and the search result."""
-    found = BiRRT().search(space, query.start, query.goals, query.uniform, budget, query.rng)
+    found = BiRRT().search(query.limited(budget, space=space), query.uniform)
     return None if found.path is None else simplify(space, found.path, query.rng).path, found
 
 
@@ -338,7 +338,7 @@ def near_shortest(
         settings: limits of the work; None: the defaults.
     """
     settings = settings or NearShortestSettings()
-    trees, lower, upper = BiRRT(), space.robot.lower, space.robot.upper
+    lower, upper = space.robot.lower, space.robot.upper
     best: JointPath | None = None
     tries = 0
     while tries < (settings.restarts + 1 if best else 2):
@@ -347,7 +347,8 @@ def near_shortest(
         if best is not None:
             sampler = InformedSamples(start, goal[None], np.array([best.length]), lower, upper)
         budget = Budget(iterations=settings.later if best else settings.first)
-        path = trees.search(space, start, goal[None], sampler, budget, rng).path
+        query = Query.of(space, start, goal[None], budget, rng)
+        path = BiRRT().search(query, sampler).path
         if path is not None:
             path = simplify(space, path, rng).path
             best = path if best is None or path.length < best.length else best

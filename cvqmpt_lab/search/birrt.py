@@ -47,8 +47,8 @@ from cvqmpt_lab.search.nearest import (
     nearest_index,
     nearest_node,
 )
-from cvqmpt_lab.search.planner_interface import Deadline, SamplingDistribution
-from cvqmpt_lab.search.result import Budget, JointPath, PlanResult, Tree
+from cvqmpt_lab.search.planner_interface import Query, SamplingDistribution
+from cvqmpt_lab.search.result import JointPath, PlanResult, Tree
 from cvqmpt_lab.search.space import ConstrainedSpace
 
 GROWING, CONNECTED, FULL = range(3)
@@ -306,28 +306,11 @@ class BiRRT:
                 "inf means no limit, as in the paper"
             )
 
-    def search(
-        self,
-        space: ConstrainedSpace,
-        start: np.ndarray,
-        goals: np.ndarray,
-        distribution: SamplingDistribution,
-        budget: Budget,
-        rng: np.random.Generator,
-    ) -> PlanResult:
-        """Search a path from the start to any goal; the arguments are those of `Search.search`.
-
-        Args:
-            space: the planning space.
-            start: (n,) [rad or m].
-            goals: (k, n) [rad or m].
-            distribution: that samples are drawn from.
-            budget: of this search.
-            rng: random numbers.
-        """
-        deadline = Deadline(budget, space)
-        growth = GrowingTrees(self, space, plant(start, goals, capacity=4096), distribution, rng)
-        path = growth.grow(np.inf, budget.iterations, deadline.clock)
+    def search(self, query: Query, distribution: SamplingDistribution) -> PlanResult:
+        """Search a path from the query's start to any of its goals, see `Search`."""
+        deadline = query.deadline
+        growth = GrowingTrees(self, query, distribution)
+        path = growth.grow(np.inf, deadline.budget.iterations, deadline.clock)
         trees = result_trees(growth.trees)
         return deadline.result(path, trees, distribution.name, growth.warning)
 
@@ -337,23 +320,15 @@ class GrowingTrees:
 
     Args:
         method: settings of the search.
-        space: the planning space.
-        trees: from the start and from the goals.
+        query: its start and goals are the roots.
         distribution: sampling distribution.
-        rng: random number generator of all draws.
     """
 
-    def __init__(
-        self,
-        method: BiRRT,
-        space: ConstrainedSpace,
-        trees: Trees,
-        distribution: SamplingDistribution,
-        rng: np.random.Generator,
-    ) -> None:
-        self.trees = trees
-        self._method, self._space, self._distribution, self._rng = method, space, distribution, rng
-        self._drawn = np.empty((0, trees.nodes.shape[2]))  # draws; `grow` makes samples of them
+    def __init__(self, method: BiRRT, query: Query, distribution: SamplingDistribution) -> None:
+        self.trees = plant(query.start, query.goals, capacity=4096)
+        self._method, self._space, self._rng = method, query.space, query.rng
+        self._distribution = distribution
+        self._drawn = np.empty((0, len(query.start)))  # draws; `grow` makes samples of them
         self._next = 0  # row of the next draw
         self._batch = 16  # number of draws that are made next
         self._draws = self._used = 0  # number of draws, and of those that became samples

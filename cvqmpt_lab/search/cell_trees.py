@@ -52,9 +52,8 @@ from cvqmpt_lab.search.motion import (
     step_towards,
 )
 from cvqmpt_lab.search.nearest import index_new_nodes, nearest_node
-from cvqmpt_lab.search.planner_interface import Deadline, SamplingDistribution
-from cvqmpt_lab.search.result import Budget, JointPath, PlanResult
-from cvqmpt_lab.search.space import ConstrainedSpace
+from cvqmpt_lab.search.planner_interface import Query, SamplingDistribution
+from cvqmpt_lab.search.result import JointPath, PlanResult
 from cvqmpt_lab.search.work import search_work
 
 _work = kernel(search_work)
@@ -194,21 +193,16 @@ class CellTrees:
         rng: random number generator.
     """
 
-    def __init__(
-        self,
-        space: ConstrainedSpace,
-        start: np.ndarray,
-        goals: np.ndarray,
-        rng: np.random.Generator,
-    ) -> None:
-        self._space, self._rng = space, rng
-        self.trees = plant(start, goals, capacity=4096)
-        self._grids = empty_grids(space, rng)
-        while len(goals) + 256 > self._grids.place.shape[1]:
+    def __init__(self, query: Query) -> None:
+        space = self._space = query.space
+        self._rng = query.rng
+        self.trees = plant(query.start, query.goals, capacity=4096)
+        self._grids = empty_grids(space, query.rng)
+        while len(query.goals) + 256 > self._grids.place.shape[1]:
             self._grids = enlarged_grids(self._grids)
         plant_cells.unchecked(space.arrays, self.trees, self._grids)
         self._scale = np.minimum((space.robot.upper - space.robot.lower) / np.pi, 1.0)
-        self._shifts, self._chances = np.empty((0, len(start))), np.empty((0, 3))
+        self._shifts, self._chances = np.empty((0, len(query.start))), np.empty((0, 3))
         self._next = 0
 
     def grow(
@@ -269,28 +263,11 @@ class CellTrees:
 class CellSearch:
     """Settings of a search by trees with cells; there are none."""
 
-    def search(
-        self,
-        space: ConstrainedSpace,
-        start: np.ndarray,
-        goals: np.ndarray,
-        distribution: SamplingDistribution,
-        budget: Budget,
-        rng: np.random.Generator,
-    ) -> PlanResult:
-        """Search a path from the start to any goal; the arguments are those of `Search.search`.
+    def search(self, query: Query, distribution: SamplingDistribution) -> PlanResult:
+        """Search a path from the query's start to any of its goals, see `Search`.
 
         The distribution is not used: walks start at nodes.
-
-        Args:
-            space: the planning space.
-            start: (n,) [rad or m].
-            goals: (k, n) [rad or m].
-            distribution: that samples are drawn from.
-            budget: of this search.
-            rng: random numbers.
         """
-        deadline = Deadline(budget, space)
-        growth = CellTrees(space, start, goals, rng)
-        path = growth.grow(np.inf, budget.iterations, deadline.clock)
+        deadline, growth = query.deadline, CellTrees(query)
+        path = growth.grow(np.inf, deadline.budget.iterations, deadline.clock)
         return deadline.result(path, result_trees(growth.trees), "cells")

@@ -19,8 +19,8 @@ from ompl import util as ou
 
 from cvqmpt_lab.search.cell_grids import free_rows
 from cvqmpt_lab.search.motion import EXTENSIONS, ITERATIONS, NEWTON_ITERATIONS
-from cvqmpt_lab.search.planner_interface import SamplingDistribution
-from cvqmpt_lab.search.result import Budget, JointPath, PlanResult, PlanStatus
+from cvqmpt_lab.search.planner_interface import Query, SamplingDistribution
+from cvqmpt_lab.search.result import JointPath, PlanResult, PlanStatus
 from cvqmpt_lab.search.space import ConstrainedSpace
 
 ou.setLogLevel(ou.LogLevel.LOG_NONE)
@@ -98,35 +98,16 @@ class OmplSearch:
     manifold: str  # "projected", "atlas" or "tangent-bundle"
     kpiece: bool = False  # BKPIECE1 with cells over the free rows, in place of RRTConnect
 
-    def search(
-        self,
-        space: ConstrainedSpace,
-        start: np.ndarray,
-        goals: np.ndarray,
-        distribution: SamplingDistribution,
-        budget: Budget,
-        rng: np.random.Generator,
-    ) -> PlanResult:
-        """Search a path from the start to any goal; the arguments are those of `Search.search`.
-
-        Args:
-            space: the planning space.
-            start: (n,) [rad or m].
-            goals: (k, n) [rad or m].
-            distribution: that samples are drawn from.
-            budget: of this search.
-            rng: random numbers.
-        """
-        began = time.perf_counter()
-        before = space.counters
-        ou.RNG.setSeed(int(rng.integers(1, 2**31)))
-        run = _Run(self.manifold, space, start, goals, self.kpiece)
-        status, path = run.run(budget, began)
+    def search(self, query: Query, distribution: SamplingDistribution) -> PlanResult:
+        """Search a path from the query's start to any of its goals, see `Search`."""
+        ou.RNG.setSeed(int(query.rng.integers(1, 2**31)))
+        run = _Run(self.manifold, query, self.kpiece)
+        status, path = run.run()
         return PlanResult(
             status=status,
             path=path,
-            seconds=time.perf_counter() - began,
-            counters=space.counters_since(before),
+            seconds=query.deadline.seconds,
+            counters=query.deadline.counters,
             vertices=run.vertices,
             sampler="atlas-charts" if run.charts else "uniform",
         )
@@ -135,15 +116,9 @@ class OmplSearch:
 class _Run:
     """The OMPL objects of one planning run."""
 
-    def __init__(
-        self,
-        manifold: str,
-        space: ConstrainedSpace,
-        start: np.ndarray,
-        goals: np.ndarray,
-        kpiece: bool = False,
-    ) -> None:
-        self._space = space
+    def __init__(self, manifold: str, query: Query, kpiece: bool = False) -> None:
+        space = self._space = query.space
+        self._deadline = query.deadline
         if space.dim:
             self._states = _state_space(manifold, _joint_space(space), _Manifold(space))
             information = (
@@ -163,9 +138,9 @@ class _Run:
         self._moved: dict[bytes, np.ndarray] = {}  # projected start or goal -> the given one
         # a single state, because the binding never frees the memory of one
         self._given = self._states.allocState()
-        self._problem.addStartState(self._state(self._inside(start)))
+        self._problem.addStartState(self._state(self._inside(query.start)))
         goal = ob.GoalStates(self._information)
-        for q in goals:
+        for q in query.goals:
             goal.addState(self._state(self._inside(q)))
         self._problem.setGoal(goal)
         self._planner = (og.BKPIECE1 if kpiece else og.RRTConnect)(self._information)
@@ -202,14 +177,15 @@ class _Run:
             self._states.anchorChart(self._given)
         return self._given
 
-    def run(self, budget: Budget, began: float) -> tuple[PlanStatus, JointPath | None]:
+    def run(self) -> tuple[PlanStatus, JointPath | None]:
         """Search until a path passes the fine check or the budget is spent."""
+        deadline, budget = self._deadline, self._deadline.budget
         steps = 0
 
         def spent() -> bool:
             nonlocal steps
             steps += 1
-            late = budget.seconds is not None and time.perf_counter() - began >= budget.seconds
+            late = time.perf_counter() >= deadline.clock
             late = late or (budget.iterations is not None and steps > budget.iterations)
             self._space.arrays.counters[ITERATIONS] += not late
             return late

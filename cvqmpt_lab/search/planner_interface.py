@@ -8,7 +8,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Protocol, TypeAlias
+from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 
@@ -241,6 +241,11 @@ class Query:
         """
         return cls(space, start, goals, Deadline(budget, space), rng, seed)
 
+    def limited(self, budget: Budget, **changes: Any) -> "Query":
+        """Return this query with a new budget, whose time starts now, and with changed fields."""
+        changed = replace(self, **changes)
+        return replace(changed, deadline=Deadline(budget, changed.space))
+
     def one_by_one(self) -> list["Query"]:
         """Return a query for each goal, each with an equal share of the budget."""
         share = 1.0 / len(self.goals)
@@ -289,25 +294,8 @@ def uniform(query: Query, observation: Observation) -> Proposal:
 class Search(Protocol):
     """A search for a path on the constraint manifold."""
 
-    def search(
-        self,
-        space: ConstrainedSpace,
-        start: np.ndarray,
-        goals: np.ndarray,
-        distribution: SamplingDistribution,
-        budget: Budget,
-        rng: np.random.Generator,
-    ) -> PlanResult:
-        """Search a path from the start to any goal.
-
-        Args:
-            space: the planning space.
-            start: (n,) [rad or m].
-            goals: (k, n) [rad or m].
-            distribution: sampling distribution.
-            budget: of this search.
-            rng: random number generator.
-        """
+    def search(self, query: Query, distribution: SamplingDistribution) -> PlanResult:
+        """Search a path from the query's start to any of its goals with drawn samples."""
 
 
 # Returns a free path on the manifold, which may become shorter than the best path after shortening,
@@ -357,14 +345,8 @@ def search(
         if 0 < near < len(query.goals):
             parts.insert(0, (query.nearest_goals(near), near_share))
         for goals, share in parts:
-            result = method.search(
-                query.space,
-                query.start,
-                goals,
-                proposal.distribution,
-                deadline.rest(share * query.share),
-                query.rng,
-            )
+            part = query.limited(deadline.rest(share * query.share), goals=goals)
+            result = method.search(part, proposal.distribution)
             vertices += result.vertices
             if result.path is not None or deadline.spent() is not None:
                 break

@@ -21,18 +21,18 @@ import numpy as np
 
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.search.anytime import informed_roadmap_path
-from cvqmpt_lab.search.birrt import BiRRT, GrowingTrees, plant, result_trees
+from cvqmpt_lab.search.birrt import BiRRT, GrowingTrees, result_trees
 from cvqmpt_lab.search.cell_trees import CellTrees
 from cvqmpt_lab.search.edge_costs import EdgeCosts
 from cvqmpt_lab.search.method import Method
 from cvqmpt_lab.search.planner_interface import (
     Deadline,
     GaussianMixture,
+    Query,
     SamplingDistribution,
     Stages,
-    Uniform,
 )
-from cvqmpt_lab.search.result import Budget, JointPath, PlanResult, PlanStatus
+from cvqmpt_lab.search.result import JointPath, PlanResult, PlanStatus
 from cvqmpt_lab.search.roadmap import (
     Roadmap,
     RoadmapQuery,
@@ -65,35 +65,18 @@ class Portfolio(BiRRT):
     # total work before the first turn of the cells, and work of each turn from then on
     alone: float = 20_000
 
-    def search(
-        self,
-        space: ConstrainedSpace,
-        start: np.ndarray,
-        goals: np.ndarray,
-        distribution: SamplingDistribution,
-        budget: Budget,
-        rng: np.random.Generator,
-    ) -> PlanResult:
-        """Search a path from the start to any goal; the arguments are those of `Search.search`.
-
-        Args:
-            space: the planning space.
-            start: (n,) [rad or m].
-            goals: (k, n) [rad or m].
-            distribution: that samples are drawn from.
-            budget: of this search.
-            rng: random numbers.
-        """
-        run = _Run(self, space, start, goals, distribution, budget, rng)
+    def search(self, query: Query, distribution: SamplingDistribution) -> PlanResult:
+        """Search a path from the query's start to any of its goals, see `Search`."""
+        run = _Run(self, query, distribution)
         turns, path, status = run.turns(), None, None
         while path is None and status is None:
             by, path = next(turns)
-            status = run.deadline.spent()
+            status = query.deadline.spent()
         return PlanResult(
             status=PlanStatus.SOLVED if path is not None else status or PlanStatus.NO_PATH,
             path=path,
-            seconds=run.deadline.seconds,
-            counters=run.deadline.counters,
+            seconds=query.deadline.seconds,
+            counters=query.deadline.counters,
             vertices=run.vertices,
             sampler=by,
             trees=result_trees(run.trees.trees),
@@ -105,20 +88,10 @@ class Portfolio(BiRRT):
 class _Run:
     """One search of a portfolio; its arguments are those of `Portfolio.search`."""
 
-    def __init__(
-        self,
-        method: Portfolio,
-        space: ConstrainedSpace,
-        start: np.ndarray,
-        goals: np.ndarray,
-        distribution: SamplingDistribution,
-        budget: Budget,
-        rng: np.random.Generator,
-    ) -> None:
-        self._method, self._space, self._ends, self._rng = method, space, (start, goals), rng
+    def __init__(self, method: Portfolio, query: Query, distribution: SamplingDistribution) -> None:
+        self._method, self._query, self._space = method, query, query.space
         self._uniform = distribution
-        self.deadline = Deadline(budget, space)
-        self.trees = GrowingTrees(method, space, plant(start, goals, 4096), distribution, rng)
+        self.trees = GrowingTrees(method, query, distribution)
         self.fallback = ""  # why the roadmap found no path
         self._others = 0  # number of nodes of roadmap and cells
 
@@ -138,7 +111,7 @@ class _Run:
         else:
             yield from self._roadmap_turns(method.roadmap)
         yield trees, self._grow(self.trees, began + method.alone - self._space.work)
-        cells, others = CellTrees(self._space, *self._ends, self._rng), self._others
+        cells, others = CellTrees(self._query), self._others
         while True:
             found = self._grow(cells, method.alone)
             self._others = others + int(cells.trees.size.sum())
@@ -148,18 +121,17 @@ class _Run:
     def _roadmap_turns(self, roadmap: Roadmap) -> Iterator[Turn]:
         """Yield the roadmap's two turns, and that of the trees between them."""
         method, space, trees = self._method, self._space, self._uniform.name
-        near = roadmap.near(self._ends[0], space.robot)
-        uniform = Uniform(space.robot.lower, space.robot.upper)
-        start, goals = self._ends
+        start, goals, deadline = self._query.start, self._query.goals, self._query.deadline
+        near = roadmap.near(start, space.robot)
         query = RoadmapQuery(space, near, start, goals, method.settings, method.costs(space))
         if method.oracle:
             uncounted = space.again()
             costs = method.costs(uncounted)
             known = RoadmapQuery(uncounted, near, start, goals, method.settings, costs)
-            known.next_path(Deadline(self.deadline.budget, uncounted))
+            known.next_path(Deadline(deadline.budget, uncounted))
             query.avoid(known)
         for work in method.turns:
-            path = query.next_path(self.deadline, work)
+            path = query.next_path(deadline, work)
             free = query.free_nodes
             self._others = len(free)
             nodes = query.graph.nodes[free]
@@ -167,7 +139,9 @@ class _Run:
             self.fallback = f"birrt around {len(free)} {lost}"
             yield method.name, path
             if work == method.turns[0]:
-                around = GaussianMixture.equal(nodes, near.covariance, uniform, 0.3, trees)
+                around = GaussianMixture.equal(
+                    nodes, near.covariance, self._query.uniform, 0.3, trees
+                )
                 self.trees.draw_from(around, nodes)
                 yield trees, self._grow(self.trees, method.between)
 
@@ -175,9 +149,9 @@ class _Run:
         self, trees: GrowingTrees | CellTrees, work: float, most: int | None = None
     ) -> JointPath | None:
         """Grow trees within the budget, a limit of work and one of `most` iterations."""
-        left = self.deadline.rest().iterations
+        left = self._query.deadline.rest().iterations
         iterations = min((count for count in (left, most) if count is not None), default=None)
-        return trees.grow(work, iterations, self.deadline.clock)
+        return trees.grow(work, iterations, self._query.deadline.clock)
 
 
 def spread_nodes(problem: PlanningProblem, model: str, draw: int | None = None) -> Roadmap:

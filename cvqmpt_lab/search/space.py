@@ -2,7 +2,7 @@
 
 import ctypes
 from collections.abc import Callable
-from typing import Annotated, Any, Protocol, Self
+from typing import Annotated, Any, Self
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from cvqmpt_lab.base.jit import check_arrays, entry
 from cvqmpt_lab.collision.arrays import robot_arrays, robot_swing, scene_arrays
 from cvqmpt_lab.collision.carried import reach_with
 from cvqmpt_lab.constraints.constraint import Constraint, project_in_numpy
+from cvqmpt_lab.constraints.problem_parts import ProblemParts, StateChecker
 from cvqmpt_lab.constraints.project import (
     PROJECTION_STEPS,
     PROJECTION_TOLERANCE,
@@ -88,48 +89,6 @@ def _chord(regions: Regions, inset: float, most: float = 6e-4) -> float:
     # of a narrow bound, a tenth of the width was taken from both sides
     taken = min(inset, float((regions.upper - regions.lower).min(initial=np.inf)) / 8.0)
     return min(most, CERTIFIED_CHORD + taken)
-
-
-class StateChecker(Protocol):
-    """An exact collision checker, such as `collision.exact.CollisionChecker`."""
-
-    def in_collision(self, q: np.ndarray) -> bool:
-        """Return whether configuration q (n,) touches anything."""
-
-
-class World(Protocol):
-    """Everything of a planning problem that its space is made of, see `PlanningProblem`."""
-
-    @property
-    def robot(self) -> Robot:
-        """The robot."""
-
-    @property
-    def scene(self) -> Scene:
-        """Obstacles."""
-
-    @property
-    def manifold(self) -> Constraint:
-        """The constraint F(q) = 0."""
-
-    @property
-    def attachments(self) -> tuple[Attachment, ...]:
-        """Bodies that the robot carries."""
-
-    @property
-    def clearance(self) -> float:
-        """Distance kept from obstacles [m]."""
-
-    @property
-    def start(self) -> np.ndarray:
-        """Start configuration (n,) [rad or m]."""
-
-    @property
-    def goals(self) -> np.ndarray:
-        """Goal configurations (k, n) [rad or m]."""
-
-    def collision_checker(self, margin: float = 0.0) -> StateChecker:
-        """Return the exact checker that keeps a margin [m] from obstacles."""
 
 
 class StateCheck:
@@ -286,23 +245,23 @@ class ConstrainedSpace:
             self.doubtful = self._find_doubtful(checker(0.0), ends)
 
     @classmethod
-    def of(cls, world: World, backend: str = "compiled", **options: Any) -> Self:
+    def of(cls, problem: ProblemParts, backend: str = "compiled", **options: Any) -> Self:
         """Return the space of a planning problem; `ends` are its start and goals.
 
         Args:
-            world: the planning problem.
+            problem: the planning problem.
             backend: of state checks.
             **options: more arguments of the constructor.
         """
         return cls(
-            world.robot,
-            world.scene,
-            world.manifold,
-            attachments=world.attachments,
-            clearance=world.clearance,
+            problem.robot,
+            problem.scene,
+            problem.manifold,
+            attachments=problem.attachments,
+            clearance=problem.clearance,
             backend=backend,
-            checker=world.collision_checker,
-            **{"ends": np.vstack([world.start, world.goals]), **options},
+            checker=problem.collision_checker,
+            **{"ends": np.vstack([problem.start, problem.goals]), **options},
         )
 
     def again(self) -> "ConstrainedSpace":

@@ -252,9 +252,8 @@ class _Run:
         if self.query.deadline.spent():
             return None
         part = self.query.deadline.rest(self.planner.share)
-        result = BiRRT().search(
-            self.query.space, a, b[None], self.query.uniform, part, self.query.rng
-        )
+        query = self.query.limited(part, start=a, goals=b[None])
+        result = BiRRT().search(query, query.uniform)
         self.vertices += result.vertices
         return result.path
 

@@ -14,7 +14,7 @@ from cvqmpt_lab.constraints.task_space_region import upright, upright_box
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box
 from cvqmpt_lab.search.birrt import BiRRT
-from cvqmpt_lab.search.planner_interface import Uniform
+from cvqmpt_lab.search.planner_interface import Query, Uniform
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.shortcut import simplify
 from cvqmpt_lab.search.space import CERTIFIED_CHORD, ConstrainedSpace
@@ -68,7 +68,8 @@ def test_a_constraint_in_python_is_searched_on(panda, pole):
     goal = np.array([0.5, -0.785, 0.5, -2.356, 0.0, 1.571, 0.785])
     assert not CIRCLE.residual(HOME).any() and not CIRCLE.residual(goal).any()
     uniform, rng = Uniform(panda.lower, panda.upper), np.random.default_rng(0)
-    found = BiRRT().search(space, HOME, goal[None], uniform, Budget(iterations=3000), rng)
+    query = Query.of(space, HOME, goal[None], Budget(iterations=3000), rng)
+    found = BiRRT().search(query, uniform)
     assert found.path is not None and found.counters.projections > 0
     shorter = simplify(space, found.path, rng).path
     for path in (found.path, shorter):
@@ -101,8 +102,9 @@ def test_what_a_constraint_raises_reaches_the_caller(panda):
 
     space = ConstrainedSpace(panda, Scene("empty", ()), Broken(0, 2, (0.0, 0.5), 0.5, 7))
     uniform, rng = Uniform(panda.lower, panda.upper), np.random.default_rng(0)
+    query = Query.of(space, HOME, HOME[None] + 0.1, Budget(iterations=10), rng)
     with pytest.raises(ZeroDivisionError, match="by nothing"):
-        BiRRT().search(space, HOME, HOME[None] + 0.1, uniform, Budget(iterations=10), rng)
+        BiRRT().search(query, uniform)
 
 
 def test_algorithm_2_moves_codes_towards_a_constraint_in_python(panda):

@@ -38,9 +38,11 @@ ELSEWHERE = {"cpu_model": "another one", "numba": "1"}
 class BrokenBiRRT(BiRRT):
     """birrt that always draws the same sample."""
 
-    def search(self, space, start, goals, distribution, budget, rng):
-        near = GaussianMixture(start[None], 1e-6 * np.eye(len(start))[None], np.ones(1))
-        return super().search(space, start, goals, near, replace(budget, iterations=50), rng)
+    def search(self, query, distribution):
+        start = query.start[None]
+        near = GaussianMixture(start, 1e-6 * np.eye(start.shape[1])[None], np.ones(1))
+        budget = replace(query.deadline.budget, iterations=50)
+        return super().search(query.limited(budget), near)
 
 
 def outcome(seed=0, planner="birrt", **values):

@@ -21,7 +21,7 @@ from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import panda
 from cvqmpt_lab.search.birrt import BiRRT
-from cvqmpt_lab.search.planner_interface import GaussianMixture, Uniform
+from cvqmpt_lab.search.planner_interface import GaussianMixture, Query, Uniform
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.space import ConstrainedSpace
 from cvqmpt_lab.vqmpt.codebook import CodeDecoder
@@ -176,7 +176,8 @@ def test_trees(seed):
     space, rng, search = ConstrainedSpace.of(problem), np.random.default_rng(seed), BiRRT()
     sampler = Uniform(problem.robot.lower, problem.robot.upper)
     checker = problem.collision_checker()
-    for tree in search.search(space, problem.start, problem.goals, sampler, FEW, rng).trees:
+    query = Query.of(space, problem.start, problem.goals, FEW, rng)
+    for tree in search.search(query, sampler).trees:
         children = np.flatnonzero(tree.parent >= 0)
         assert (tree.parent[children] < children).all() and (tree.parent >= -1).all()
         steps = np.linalg.norm(tree.nodes[children] - tree.nodes[tree.parent[children]], axis=1)

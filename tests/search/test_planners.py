@@ -25,7 +25,7 @@ from cvqmpt_lab.scene.shapes import Box, Cylinder
 from cvqmpt_lab.search.birrt import DRAW_MODES, BiRRT, grow, plant
 from cvqmpt_lab.search.method import Method
 from cvqmpt_lab.search.ompl_planners import OMPL_STATE_SPACES, OmplSearch
-from cvqmpt_lab.search.planner_interface import GaussianMixture, Proposal, Uniform
+from cvqmpt_lab.search.planner_interface import GaussianMixture, Proposal, Query, Uniform
 from cvqmpt_lab.search.result import Budget, PlanStatus
 from cvqmpt_lab.search.space import ConstrainedSpace
 
@@ -101,7 +101,8 @@ def searched(problem, space, budget, distribution=None, goals=None, **settings):
     rng = np.random.default_rng(0)
     distribution = distribution or Uniform(problem.robot.lower, problem.robot.upper)
     goals = problem.goals if goals is None else goals
-    return BiRRT(**settings).search(space, problem.start, goals, distribution, budget, rng)
+    query = Query.of(space, problem.start, goals, budget, rng)
+    return BiRRT(**settings).search(query, distribution)
 
 
 def test_trees_are_enlarged_when_full(problem):
@@ -240,7 +241,8 @@ def test_ompl_keeps_nothing_of_a_run(problem, manifold):
 
     def run_nine_times(space):
         for _ in range(9):
-            search.search(space, problem.start, goals, None, Budget(iterations=1), rng)
+            query = Query.of(space, problem.start, goals, Budget(iterations=1), rng)
+            search.search(query, None)
 
     run_nine_times(space)
     before = in_use()

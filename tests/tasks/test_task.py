@@ -142,12 +142,12 @@ class FailsOnce:
         self.problem = problem.name
         return Stages(search=self)
 
-    def search(self, space, *arguments):
+    def search(self, query, distribution):
         if self.problem.endswith(self.phase) and not self.failed:
             self.failed = True
             time.sleep(0.5)
             return PlanResult(PlanStatus.TIMEOUT, None, 0.5, Counters(), 0, "none")
-        return BiRRT().search(space, *arguments)
+        return BiRRT().search(query, distribution)
 
 
 def test_another_grasp_is_tried_when_a_later_phase_fails(task):
@@ -173,12 +173,13 @@ class SlidesOnlyWithASecond:
         self.problem = problem.name
         return Stages(search=self)
 
-    def search(self, space, start, goals, distribution, budget, rng):
+    def search(self, query, distribution):
         if self.problem.endswith("approach"):
-            self.given.append((round(budget.seconds), tuple(start)))
-            if budget.seconds < 1.0:
+            seconds = query.deadline.budget.seconds
+            self.given.append((round(seconds), tuple(query.start)))
+            if seconds < 1.0:
                 return PlanResult(PlanStatus.TIMEOUT, None, 0.0, Counters(), 0, "none")
-        return BiRRT().search(space, start, goals, distribution, budget, rng)
+        return BiRRT().search(query, distribution)
 
 
 def test_a_slide_gets_little_time_until_all_grasps_have_failed(task):

@@ -1,0 +1,54 @@
+"""The parts of a planning problem that goals and planning spaces depend on.
+
+`PlanningProblem` has them all. Code that depends on this file alone reads no problem files.
+"""
+
+from typing import Protocol
+
+import numpy as np
+
+from cvqmpt_lab.constraints.constraint import Constraint
+from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.scene.scene import Attachment, Scene
+
+
+class StateChecker(Protocol):
+    """An exact collision checker, such as `collision.exact.CollisionChecker`."""
+
+    def in_collision(self, q: np.ndarray) -> bool:
+        """Return whether configuration q (n,) touches anything."""
+
+
+class ProblemParts(Protocol):
+    """The parts of a planning problem that a planning space is made of."""
+
+    @property
+    def robot(self) -> Robot:
+        """The robot."""
+
+    @property
+    def scene(self) -> Scene:
+        """Obstacles."""
+
+    @property
+    def manifold(self) -> Constraint:
+        """The constraint F(q) = 0."""
+
+    @property
+    def attachments(self) -> tuple[Attachment, ...]:
+        """Bodies that the robot carries."""
+
+    @property
+    def clearance(self) -> float:
+        """Distance kept from obstacles [m]."""
+
+    @property
+    def start(self) -> np.ndarray:
+        """Start configuration (n,) [rad or m]."""
+
+    @property
+    def goals(self) -> np.ndarray:
+        """Goal configurations (k, n) [rad or m]."""
+
+    def collision_checker(self, margin: float = 0.0) -> StateChecker:
+        """Return the exact checker that keeps a margin [m] from obstacles."""
