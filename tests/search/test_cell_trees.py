@@ -10,6 +10,7 @@ from cvqmpt_lab.robot.hulls import coal_distance
 from cvqmpt_lab.scene.coal_shapes import coal_shape, transform
 from cvqmpt_lab.search.cell_grids import empty_grids, free_rows
 from cvqmpt_lab.search.cell_trees import CellTrees
+from cvqmpt_lab.search.planner_interface import Query
 from cvqmpt_lab.search.result import Budget, PlanStatus
 from cvqmpt_lab.search.space import ConstrainedSpace
 
@@ -32,7 +33,8 @@ def test_a_maze_is_solved_and_repeats_bit_for_bit(maze):
 def grown(problem, slices, seed=2):
     """The path and work of trees that grow in slices of so much work."""
     space = ConstrainedSpace.of(problem)
-    growth = CellTrees(space, problem.start, problem.goals, problem.random_stream(seed))
+    rng = problem.random_stream(seed)
+    growth = CellTrees(Query.of(space, problem.start, problem.goals, MOST, rng))
     for _ in range(1_000_000):
         before = space.work
         path = growth.grow(slices)
