@@ -1,4 +1,4 @@
-"""`cvqmpt model`: report on weights, convert published ones.
+"""`cvqmpt model`: report on weights, or convert published weights.
 
 `cvqmpt train`: train a dictionary, a transformer or MPNet; needs torch and numpy only.
 """
@@ -57,33 +57,34 @@ def model(args: argparse.Namespace) -> None:
 
 
 def _info(folder: Path) -> dict[str, Any]:
-    """Return what a folder of weights says of them; they are read and checked."""
-    read, description = read_model(folder), read_description(folder)
-    if TRANSFORMER in read.parts:
-        from cvqmpt_lab.vqmpt.codebook import require_own_dictionary  # compiles
+    """Read and check a folder of weights; return its description as plain json."""
+    stored, description = read_model(folder), read_description(folder)
+    if TRANSFORMER in stored.parts:
+        # imported here because it loads compiled functions
+        from cvqmpt_lab.vqmpt.codebook import require_own_dictionary
 
-        require_own_dictionary(read)
+        require_own_dictionary(stored)
     parts = {
         f"{name}.safetensors": {
             "bytes": (folder / f"{name}.safetensors").stat().st_size,
             "numbers": sum(array.size for array in arrays.values()),
             "sha256": description["sha256"][name],
         }
-        for name, arrays in read.parts.items()
+        for name, arrays in stored.parts.items()
     }
     return {
         "folder": str(folder),
         "sha256": weights_digest(folder),
-        "architecture": read.architecture,
-        "robot": to_plain(read.robot, complete=True),
+        "architecture": stored.architecture,
+        "robot": to_plain(stored.robot, complete=True),
         "parts": parts,
-        "model": to_plain(read.config, complete=True),
-        "metadata": dict(read.metadata),
+        "model": to_plain(stored.config, complete=True),
+        "metadata": dict(stored.metadata),
     }
 
 
 def _summary(found: dict[str, Any]) -> list[str]:
-    """Return the report on weights."""
+    """Return the lines of the report on weights, from the json of `_info`."""
     robot, config, metadata = found["robot"], found["model"], found["metadata"]
     kind = f", {config['kind']}" if "kind" in config else ""
     digest = robot["kinematics"] or "not recorded"
@@ -114,32 +115,33 @@ def _summary(found: dict[str, Any]) -> list[str]:
             if x is not None
         ),
         "",
-        f"sizes and training in full: cvqmpt model info --model {found['folder']} --json",
+        f"all sizes and training settings: cvqmpt model info --model {found['folder']} --json",
     ]
 
 
 MODEL: Options = {
     "action": option(
-        "info, or import of published VQ-MPT folders (train MPNet, its folders cannot be imported)",
+        "info: report on weights; import: convert published VQ-MPT folders (MPNet folders cannot "
+        "be converted: train MPNet)",
         type=one_of("action", ("info", "import")),
     ),
     "--model": option(
         f"info: {', '.join(SHIPPED)}, or the folder of a model (vq_mpt)", metavar="DIR"
     ),
-    "--json": option("info: everything, as json", **FLAG),
-    "--dictionary-dir": option("import: published stage 1", type=Path, metavar="DIR"),
-    "--ar-dir": option("import: published stage 2", type=Path, metavar="DIR"),
+    "--json": option("info: print everything as json", **FLAG),
+    "--dictionary-dir": option("import: folder of the published stage 1", type=Path, metavar="DIR"),
+    "--ar-dir": option("import: folder of the published stage 2", type=Path, metavar="DIR"),
     "--out": option("import: folder to write, new or empty", type=Path, metavar="DIR"),
 }
 
 
-# as in `training.profiles`, which needs torch
+# copied from `training.profiles`, which needs torch
 STAGES = ("stage1", "mpnet", "transformer", "published")
 PROFILE_NAMES = ("smoke", "compact", "published")
 
 
 def train(args: argparse.Namespace) -> None:
-    """Train, and show loss and time left."""
+    """Train a network, and show its loss and the remaining time."""
     require_installed("torch", "cvqmpt train", "train")
     from cvqmpt_lab.training.profiles import Profile, profile_named
     from cvqmpt_lab.training.trainer import run_training
@@ -172,16 +174,18 @@ def train(args: argparse.Namespace) -> None:
     for name, value in (progress.rows[-1] if progress.rows else {}).items():
         print(f"{name:40} {'' if value is None else format(value, '.6g')}")
     if not progress.finished:
-        log("stopped after --minutes; the same command continues")
+        log("stopped after --minutes; repeat the command to continue")
     print(f"model in {args.out / 'model'}, curves in {args.out / 'curves.csv'}")
 
 
 TRAIN: Options = {
     "stage": option(f"what to train: {', '.join(STAGES)}", type=one_of("stage", STAGES)),
     ONE_OF: {
-        "--profile": option(f"of {', '.join(PROFILE_NAMES)} (compact)", default="compact"),
+        "--profile": option(f"one of {', '.join(PROFILE_NAMES)} (compact)", default="compact"),
         "--config": option(
-            "file of your own profile, see --print-config", type=Path, metavar="FILE"
+            "json file with a profile of your own, in the form of --print-config",
+            type=Path,
+            metavar="FILE",
         ),
     },
     "--print-config": option("print the profile as json and stop", **FLAG),
@@ -190,8 +194,8 @@ TRAIN: Options = {
         "folder for state, curves and model/; continued if it exists", type=Path, metavar="DIR"
     ),
     "--dictionary": option(
-        "for transformer (from labels) and published (the authors' architecture, from paths or "
-        "labels): folder --out of stage1 (the shipped one)",
+        "for the stages transformer (trained on labels) and published (the authors' architecture, "
+        "trained on paths or labels): the folder --out of stage1 (the shipped dictionary)",
         type=Path,
         metavar="DIR",
     ),
@@ -199,7 +203,7 @@ TRAIN: Options = {
         "seed; training repeats exactly on a CPU (0)", type=not_negative_int, default=0, metavar="S"
     ),
     "--epochs": option(
-        "total number of epochs (that of the profile)", type=positive_int, metavar="N"
+        "total number of epochs (given by the profile)", type=positive_int, metavar="N"
     ),
     "--minutes": option("stop and save after M minutes", type=positive, metavar="M"),
     "--device": option("cpu, cuda, or auto (auto)", default="auto"),

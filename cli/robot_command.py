@@ -28,17 +28,18 @@ def run(args: argparse.Namespace) -> None:
             hands = arm.end_effector or " and ".join(arm.end_effectors)
             print(f"{name:16} {arm.urdf}, end effector {hands}")
         return
-    options, others = robot_options(args), list[str]()
+    options, guesses = robot_options(args), list[str]()
     if args.robot in ARMS or not (Path(args.robot).suffix or Path(args.robot).exists()):
         source = {"name": args.robot, **options}
     else:
         source = {"urdf": args.robot, **options}
         if not {"end_effector", "end_effectors"} & options.keys():
-            others = read_urdf(Path(args.robot)).likely_end_effectors()
-            source["end_effector"] = others[0]
+            guesses = read_urdf(Path(args.robot)).likely_end_effectors()
+            source["end_effector"] = guesses[0]
     robot = robot_from_source(source)
-    said = describe(robot)
-    print(json.dumps(said, indent=1) if args.json else "\n".join(report(robot, said, others)))
+    model = describe(robot)
+    lines = report(robot, model, guesses)
+    print(json.dumps(model, indent=1) if args.json else "\n".join(lines))
     if args.picture:
         from cvqmpt_lab.show.picture import draw
 
@@ -50,7 +51,8 @@ def describe(robot: Robot, tried: int = 200) -> dict[str, Any]:
 
     Args:
         robot: the model.
-        tried: number of random configurations for the share free of self-collision.
+        tried: number of random configurations from which the fraction without self-collision is
+            estimated.
     """
     velocity = np.array(robot.model.upperVelocityLimit)
     states = robot.random_configurations(np.random.default_rng(0), tried)
@@ -86,43 +88,50 @@ def describe(robot: Robot, tried: int = 200) -> dict[str, Any]:
     }
 
 
-def report(robot: Robot, said: dict[str, Any], others: list[str]) -> Iterator[str]:
-    """Yield the lines of the report on a robot and what `describe` returned of it."""
+def report(robot: Robot, model: dict[str, Any], guesses: list[str]) -> Iterator[str]:
+    """Yield the lines of the report on a robot.
+
+    Args:
+        robot: the robot.
+        model: `describe(robot)`.
+        guesses: links that are probably end effectors, the chosen one first; empty if the user
+            chose the end effector.
+    """
     yield (
         f"robot        {robot.name}: {robot.dof} joints, reach {robot.reach:.2f} m, digest "
         f"{robot.kinematics_digest}"
     )
-    chosen = (
-        f" (guessed from {', '.join(others)}: --end-effector chooses another)" if others else ""
+    guessed = (
+        f" (guessed from {', '.join(guesses)}: --end-effector chooses another)" if guesses else ""
     )
-    yield f"end effector {' and '.join(robot.end_effectors)}{chosen}"
-    for joint in said["joints"]:
+    yield f"end effector {' and '.join(robot.end_effectors)}{guessed}"
+    for joint in model["joints"]:
         unit = "m" if joint["kind"] == "prismatic" else "rad"
-        fast = (
+        speed_limit = (
             f", at most {joint['velocity']:.2f} {unit}/s"
             if joint["velocity"]
             else ", no velocity limit"
         )
         limits = f"{joint['lower']:.3f} to {joint['upper']:.3f} {unit}"
-        yield f"joint        {joint['name']}: {joint['kind']}, {limits}{fast}"
+        yield f"joint        {joint['name']}: {joint['kind']}, {limits}{speed_limit}"
     for reason, count in Counter(joint.reason for joint in robot.held_joints).items():
         names = [f"{j.name}={j.value:g}" for j in robot.held_joints if j.reason == reason]
         yield f"held         {count} {reason}: {_few(names)}"
-    yield f"frames       {len(said['frames'])}: {_few(said['frames'])}"
+    yield f"frames       {len(model['frames'])}: {_few(model['frames'])}"
     yield f"pieces       {len(robot.links)}: {_few([piece.name for piece in robot.links])}"
     if not robot.links:
-        yield "             none: nothing can collide; add <collision> to the links in the URDF"
+        yield ("             none: no link can collide; add <collision> to the links in the URDF")
     reasons = Counter(pair.reason for pair in robot.left_out_pairs)
-    left = ", ".join(f"{count} {reason}" for reason, count in reasons.items()) or "none"
+    left_out = ", ".join(f"{count} {reason}" for reason, count in reasons.items()) or "none"
     yield (
-        f"pairs        {len(robot.self_collision_pairs)} of pieces are checked; left out, of "
-        f"links: {left}"
+        f"pairs        {len(robot.self_collision_pairs)} pairs of pieces are checked; pairs of "
+        f"links left out: {left_out}"
     )
     for pair in robot.left_out_pairs:
         if pair.reason.startswith(OVERLAP):
             yield f"             {pair.first} and {pair.second} {pair.reason}: not checked"
-    free = 100.0 * said["share_free_of_self_collision"]
-    yield f"free         {free:.0f} % of random configurations do not collide with themselves"
+    free = 100.0 * model["share_free_of_self_collision"]
+    yield f"free         {free:.0f} % of random configurations are free of self-collision"
     if "acceleration" not in robot.limits:
         yield "timing       no acceleration limits: --trajectory needs --acceleration"
     if unlimited := without_effort_limit(robot):
@@ -136,9 +145,15 @@ def _few(names: list[str], most: int = 8) -> str:
 
 
 OPTIONS: Options = {
-    "robot": option("without it, the known names are listed", nargs="?", metavar="URDF_OR_NAME"),
+    "robot": option(
+        "URDF file or name of a robot (default: list the known names)",
+        nargs="?",
+        metavar="URDF_OR_NAME",
+    ),
     **ROBOT_DETAILS,
     "--json": option("print everything as one json object", **FLAG),
-    "--picture": option("draw its collision pieces", type=writable_file, metavar="FILE.png"),
+    "--picture": option(
+        "draw the collision pieces of the robot", type=writable_file, metavar="FILE.png"
+    ),
 }
 COMMANDS = {"robot": (run, OPTIONS)}

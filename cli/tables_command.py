@@ -267,8 +267,8 @@ COMPARE: Options = {
 }
 CLAIMS: Options = {
     "results": option(
-        "folder of results directories, in which claims.md is written (the committed ones, with "
-        "page and README)",
+        "folder of results directories; claims.md is written to it (the committed results, "
+        "whose page and README are written)",
         type=Path,
         nargs="?",
         metavar="DIR",

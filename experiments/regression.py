@@ -1,7 +1,7 @@
 """Regression test of result rows: a few short runs are compared with committed values.
 
 Budgets are iterations, not seconds, so that results depend only on the code, the versions of
-packages and the processor that runs the compiled kernels. `Guarded` is the same for planners on a
+packages and the processor that runs the compiled kernels. `Guarded` does the same for planners on a
 folder of problem files.
 """
 
@@ -34,11 +34,12 @@ EXPECTATIONS_SCHEMA = "cvqmpt-expectations/1"
 SUITE = "place-task"
 COUNTS = ("n_iterations", "n_projections", "n_newton_iterations", "n_state_checks", "vertices")
 GUARDED_COLUMNS = ("fail_reason", *COUNTS, "path_length_rad", "path_sha256", "g_sampled")
-# Largest relative change, on another processor, of a count or of path lengths summed over the runs
-# of a planner. All sums were equal to three digits on an AMD EPYC, on an Intel Xeon and in code for
-# any x86-64, which rounds differently, except those of tb-rrt: there they grew up to 2.8 times.
+# Largest relative change, on another processor, of the sum of a count or of path lengths over the
+# runs of a planner. All sums were equal to three digits on an AMD EPYC, on an Intel Xeon and in
+# code for any x86-64, which rounds differently, except the sums of tb-rrt, which became up to 2.8
+# times as large.
 WITHIN = 0.02
-FORKING = ("tb-rrt",)  # whose sums are not compared on another processor
+FORKING = ("tb-rrt",)  # planners whose sums are not compared on another processor
 
 
 class Case(NamedTuple):
@@ -90,13 +91,13 @@ CASES: tuple[Case, ...] = (
 
 
 def sample() -> list[Case]:
-    """The first case of every planner in every suite, and the one that fails."""
+    """Return the first case of each planner in each suite, and the case that fails."""
     kinds = {(case.planner, case.suite, case.iterations): case for case in reversed(CASES)}
     return [case for case in CASES if case in kinds.values()]
 
 
 class Expectations(NamedTuple):
-    """Committed values of cases, and the machine and versions they were made with."""
+    """Committed values of cases, and the machine and package versions that produced them."""
 
     made_with: Mapping[str, str | None]
     outcomes: Mapping[Case, Values]
@@ -111,7 +112,7 @@ class Expectations(NamedTuple):
 
     @staticmethod
     def load(path: Path, command: str = "cvqmpt check-tables --update") -> "Expectations":
-        """Read a file of `save`; InvalidInputError names it and the command that writes it."""
+        """Read a file that `save` wrote; errors name the file and the command that writes it."""
         try:
             record = read_json_object(path, "expectations")
             if record["schema"] != EXPECTATIONS_SCHEMA:
@@ -182,8 +183,8 @@ def compare(
 ) -> tuple[str, list[str]]:
     """Compare outcomes with expectations.
 
-    Values must be equal on the platform and versions of the expectations. Elsewhere reasons of
-    failure must be equal, and sums over a planner's runs may differ by a fraction.
+    With the processor and versions of the expectations, values must be equal. With others, reasons
+    of failure must be equal, and sums over the runs of a planner may differ by a fraction.
 
     Args:
         expected: committed values.
@@ -207,9 +208,9 @@ def compare(
         return mode, differences + _unequal(pairs, GUARDED_COLUMNS)
     changed = ", ".join(f"{name} {expected.made_with.get(name)} -> {here[name]}" for name in other)
     mode = (
-        f"within bounds, not bit for bit, since {changed}: reasons of failure equal; each count "
-        f"and the path length, summed over a planner's runs, within {within:.3g} of the expected "
-        f"sum (not of {', '.join(FORKING)})"
+        f"within bounds, not bit for bit, since {changed}: reasons of failure must be equal; each "
+        "count and the path length, summed over the runs of a planner, may differ by "
+        f"{within:.3g} times the expected sum (sums of {', '.join(FORKING)} are not compared)"
     )
     return mode, differences + _unequal(pairs, ("fail_reason",)) + _out_of_bounds(pairs, within)
 
@@ -242,7 +243,7 @@ def _out_of_bounds(pairs: Sequence[tuple[Case, Values, Values]], within: float) 
 
 
 class Guarded(NamedTuple):
-    """Settings of the runs on every problem of a folder."""
+    """Settings of the runs on each problem of a folder."""
 
     planners: Sequence[str]
     seeds: Sequence[int]
@@ -251,7 +252,13 @@ class Guarded(NamedTuple):
     def measure(
         self, folder: Path, jobs: int, on_progress: Callable[[int, int, str], None]
     ) -> dict[Case, Values]:
-        """Run it, `jobs` runs at a time; no rows are kept."""
+        """Run every planner on every problem of a folder, and return the values of each run.
+
+        Args:
+            folder: folder of problem files.
+            jobs: number of runs at the same time.
+            on_progress: called with (done, total, last run).
+        """
         suite = folder_suite(folder)
         experiment = Experiment(
             suite=str(folder.resolve()),
@@ -263,7 +270,7 @@ class Guarded(NamedTuple):
         with tempfile.TemporaryDirectory() as out, executor_for(experiment, jobs) as executor:
             rows = run_experiment(experiment, Path(out), executor, (), on_progress)
         return {
-            # a folder may be called otherwise on another machine
+            # a constant name: the path of the folder differs between machines
             Case(row.planner, row.problem, row.seed, self.iterations, "the folder"): {
                 column: getattr(row, column) for column in GUARDED_COLUMNS
             }
@@ -274,17 +281,21 @@ class Guarded(NamedTuple):
 def guarded_by(
     expected: Expectations, planners: Sequence[str] = ()
 ) -> tuple[Guarded, Expectations]:
-    """What was run for expectations, and what is expected of it.
+    """Return the settings of the runs behind expectations, and the expectations themselves.
 
-    planners: some of those of the expectations; all if empty. InvalidInputError names one of which
-    nothing is expected.
+    Args:
+        expected: committed values.
+        planners: planners to keep; all planners if empty.
+
+    Raises:
+        InvalidInputError: a planner has no expected values.
     """
     known = list(dict.fromkeys(case.planner for case in expected.outcomes))
     for name in planners:
         if name not in known:
             raise InvalidInputError(
-                f"nothing is expected of planner {name!r}, only of {', '.join(known)}; name all "
-                "that are guarded with --update"
+                f"planner {name!r} has no expected values; choose from {', '.join(known)}, or "
+                "write new ones with --update and all planners"
             )
     chosen = planners or known
     kept = {case: values for case, values in expected.outcomes.items() if case.planner in chosen}

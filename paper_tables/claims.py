@@ -1,4 +1,4 @@
-"""Every claim of the paper, judged by results directories: is it replicated?"""
+"""Judge every claim of the paper by the rows of results directories."""
 
 import csv
 import math
@@ -37,7 +37,7 @@ class JudgedClaim(NamedTuple):
 
     @property
     def word(self) -> Word:
-        """Word of all verdicts of the claim together."""
+        """Word for the claim, which combines the verdicts of all its comparisons."""
         return Word.UNTESTABLE if self.claim.untestable else overall(self.verdicts)
 
     @property
@@ -47,24 +47,26 @@ class JudgedClaim(NamedTuple):
 
     @property
     def needed(self) -> int | None:
-        """Problems that would decide all comparisons that are inconclusive; None where none is."""
+        """Number of problems that would decide an inconclusive claim; None for another claim."""
         counts = [x.needed for x in self.verdicts if x.needed] if self.word is Word.OPEN else []
         return max(counts, default=None)
 
 
 def judged_claims(found: Mapping[str, Evidence]) -> list[JudgedClaim]:
-    """Return every claim, judged by results directories by name.
+    """Judge every claim.
 
-    Claims are inconclusive where rows are of a profile that is too small for verdicts.
+    Claims are inconclusive if the rows were made with a profile that is too small for verdicts.
+
+    found: results directories by name.
     """
-    known, judged = not profiles(found), []
+    large_enough, judged = not profiles(found), []
     for claim in CLAIMS:
         evidence = found.get(claim.suite)
         verdicts = () if evidence is None or claim.untestable else _verdicts(claim, evidence)
         if verdicts and claim.again in found:
-            anew = {x.comparison: x for x in _verdicts(claim, found[claim.again]) if x.pairs}
-            verdicts = [anew.get(x.comparison, x) for x in verdicts]
-        own = tuple(verdict._replace(known=known) for verdict in verdicts)
+            repeated = {x.comparison: x for x in _verdicts(claim, found[claim.again]) if x.pairs}
+            verdicts = [repeated.get(x.comparison, x) for x in verdicts]
+        own = tuple(verdict._replace(known=large_enough) for verdict in verdicts)
         judged.append(JudgedClaim(claim, own, evidence))
     return judged
 
@@ -88,13 +90,13 @@ def _verdicts(claim: Claim, evidence: Evidence) -> list[Verdict]:
 
 
 def price_lines(evidence: Evidence) -> Lines:
-    """Return the claims at the paper's cost, as published and with cheaper projections."""
+    """Return a table of the claims at the paper's cost, with two prices of projections."""
     lines = [["planner", "against", "as published", "PyBullet's kinematics"]]
     for claim in (claim for claim in CLAIMS if claim.metric == "paper_cost"):
         priced = (replace(claim, metric=metric) for metric in ("paper_cost", "pybullet_cost"))
         for both in zip(*(_verdicts(item, evidence) for item in priced), strict=True):
-            told = [f"{item.interval_text(item.gain)}: {item.word}" for item in both]
-            lines.append([both[0].planner, both[0].against, *told])
+            verdicts = [f"{item.interval_text(item.gain)}: {item.word}" for item in both]
+            lines.append([both[0].planner, both[0].against, *verdicts])
     return lines
 
 
@@ -108,11 +110,11 @@ def verdicts_of(
     """Return a verdict for each planner of a claim that has rows, against each baseline.
 
     Args:
-        claim: that is judged.
-        rows: of one suite.
+        claim: claim that is judged.
+        rows: rows of one suite.
         published: the paper's numbers.
-        cutoff: of the rows [s], where they have one.
-        level: of intervals, two-sided (None: `error_level`).
+        cutoff: time limit of the runs [s]; None if they have none.
+        level: two-sided error level of an interval; None: `error_level`.
     """
     own = grouped((row.planner, row) for row in rows)
     metric = claim.published or claim.metric
@@ -134,13 +136,13 @@ def verdicts_of(
 
 
 def compared(claim: Claim, own: Rows, other: Rows, cutoff: float | None = None) -> list[Pair]:
-    """Return problems with values of both planners, with failures counted as the claim says.
+    """Return the values of both planners on each problem; the claim says how failures count.
 
     Args:
-        claim: with metric and treatment of failures.
+        claim: its fields `metric` and `cutoff` are used.
         own: rows of the planner.
         other: rows of the baseline.
-        cutoff: of the rows [s], if they have one.
+        cutoff: time limit of the runs [s]; None if they have none.
     """
     if claim.is_share:
         theirs = {problem_key(row): row.solved for row in other}
@@ -152,7 +154,7 @@ def compared(claim: Claim, own: Rows, other: Rows, cutoff: float | None = None) 
         limit = cutoff
     elif isinstance(claim.cutoff, str):
         known = [value(row) for row in (*own, *other) if row.solved]
-        # without any number nothing can be compared, and 0 leaves all out
+        # if no run was solved, no value can be compared: a limit of 0 leaves all runs out
         limit = max((x for x in known if x is not None), default=0.0)
     elif claim.cutoff is not None:
         limit = claim.cutoff
@@ -164,7 +166,7 @@ def _kind(claim: Claim, row: ResultRow) -> str:
 
 
 def _failed(own: Rows, other: Rows) -> tuple[int, int, int]:
-    """Return failed runs of both planners, and the number of runs that both did."""
+    """Count runs that both planners have: failed by the own, failed by the other, all."""
     ours = {problem_key(row): row.solved for row in own}
     theirs = {problem_key(row): row.solved for row in other}
     both = ours.keys() & theirs.keys()
@@ -173,7 +175,7 @@ def _failed(own: Rows, other: Rows) -> tuple[int, int, int]:
 
 
 def updated_codes(claim: Claim, folder: Path) -> Verdict:
-    """Compare G of the predicted codes after the update with that before; a problem counts once."""
+    """Compare G of predicted codes after and before the update; each problem counts once."""
     codes = []
     with (folder / "values.csv").open(encoding="utf-8", newline="") as handle:
         for line in csv.DictReader(handle):
@@ -185,7 +187,7 @@ def updated_codes(claim: Claim, folder: Path) -> Verdict:
 
 
 def profiles(found: Mapping[str, Evidence]) -> list[str]:
-    """Return the profiles of rows that are too small for verdicts: all but the full one."""
+    """Return the profiles of rows that are too small for verdicts: all except "full"."""
     records = [session for item in found.values() for session in sessions(item.record)]
     words = [pair for session in records for pair in pairwise(session.get("command") or [])]
     named = dict.fromkeys(after for word, after in words if word == "--profile")
@@ -193,13 +195,13 @@ def profiles(found: Mapping[str, Evidence]) -> list[str]:
 
 
 def banner(found: Mapping[str, Evidence]) -> str:
-    """Return a warning if rows are of a profile that is too small for verdicts, else ""."""
+    """Return a warning if a profile of the rows is too small for verdicts, else ""."""
     small = profiles(found)
     if not small:
         return ""
     return (
-        f"These rows are of --profile {', '.join(small)}, made to try things out: few problems, "
-        "short budgets, wide intervals. Verdicts of the paper need --profile full."
+        f"These rows were made with --profile {', '.join(small)}, which is a quick trial: few "
+        "problems, short budgets, wide intervals. Verdicts on the paper need --profile full."
     )
 
 

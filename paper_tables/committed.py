@@ -25,7 +25,7 @@ DOCS = README.parent / "docs"
 
 
 def require_checkout(command: str, instead: str) -> None:
-    """Refuse, outside a checkout, a command that writes files there; instead: what can be given."""
+    """Refuse a command that writes files of the checkout if there is none; instead: the cure."""
     if not in_checkout():
         raise InvalidInputError(
             f"{command} writes committed files, so it needs a checkout of the project, not the "
@@ -39,7 +39,7 @@ def committed_directories(results: Path = RESULTS) -> list[Path]:
 
 
 def untraceable(directory: Path, models_of: Callable[[str], Collection[str]]) -> list[str]:
-    """Reasons why a directory's numbers cannot be traced to a commit and to weights, a line each.
+    """Return a line for each reason why rows cannot be traced to a commit and to weights.
 
     models_of: names of the models that a planner needs.
     """
@@ -109,7 +109,7 @@ def _close(was: str, now: str) -> bool:
 
 
 def _cells(line: str, suffix: str) -> list[str]:
-    """The cells of one line of a table."""
+    """Return the cells of one line of a table."""
     delimiter = {".csv": ",", ".md": "|", ".tex": "&"}[suffix]
     quoting: Any = csv.QUOTE_MINIMAL if suffix == ".csv" else csv.QUOTE_NONE
     cells = next(csv.reader([line], delimiter=delimiter, quoting=quoting), [])
@@ -120,18 +120,18 @@ def _cells(line: str, suffix: str) -> list[str]:
 
 
 def with_part(text: str, part: str, table: str) -> str:
-    """A README with the table between the marks of a part replaced; InvalidInputError without."""
+    """Replace the table between the marks of a part of a README; refuse a README without them."""
     begin, end = f"<!-- {part}: written by cvqmpt claims -->", f"<!-- end of {part} -->"
     found = re.compile(f"{re.escape(begin)}\n.*?{re.escape(end)}", re.DOTALL)
     if not found.search(text):
         raise InvalidInputError(
-            f"README has no lines {begin!r} and {end!r}: put them where the table goes"
+            f"README has no lines {begin!r} and {end!r}: add both where the table must be"
         )
     return found.sub(lambda _: f"{begin}\n{table}{end}", text)
 
 
 def committed_pages(found: Mapping[str, Evidence]) -> dict[Path, str]:
-    """The committed page and, in a checkout, README and docs/results.md, of all committed rows."""
+    """Return the page of claims and, in a checkout, README and docs/results.md, by path."""
     claims = judged_claims(found)
     texts = {pages.PAGE: pages.page_text(found, claims, pages.PAGE.parent)}
     if in_checkout():
@@ -149,7 +149,7 @@ def committed_pages(found: Mapping[str, Evidence]) -> dict[Path, str]:
 
 
 def committed_pictures(found: Mapping[str, Evidence]) -> dict[Path, bytes]:
-    """Pictures of all committed rows: every comparison of the claims, and the cost of a check."""
+    """Return pictures of committed rows: comparisons of the claims, and the cost of a check."""
     from cvqmpt_lab.paper_tables import plots  # matplotlib takes a second to import
 
     verdicts = [verdict for item in judged_claims(found) for verdict in item.verdicts]
@@ -159,9 +159,9 @@ def committed_pictures(found: Mapping[str, Evidence]) -> dict[Path, bytes]:
 
 
 def stale_pages(texts: Mapping[Path, str]) -> list[str]:
-    """A line for each page that differs from its rendering."""
+    """Return a line for each page that differs from its rendering."""
     return [
-        f"{path}: not what the rows say; write it with: cvqmpt claims --write"
+        f"{path} differs from a rendering of the rows; write it with: cvqmpt claims --write"
         for path, text in texts.items()
         if not path.is_file() or read_text(path) != text
     ]

@@ -1,8 +1,8 @@
 """The rule by which rows judge the paper's claims; docs/judgement.md states it with its sources.
 
-All effects are *gains*: 0 is no effect, above it is what the paper says. The gain of a problem is
-the mean over its seeds of log(baseline / own), or the difference of two shares of solved runs. The
-rule knows no suite and no planner.
+All effects are *gains*: 0 is no effect, and positive gains agree with the paper. The gain of a
+problem is the mean over its seeds of log(baseline / own), or the difference of two fractions of
+solved runs. The rule does not depend on suites and planners.
 """
 
 import math
@@ -19,15 +19,15 @@ from cvqmpt_lab.paper_tables.writers import Lines
 from cvqmpt_lab.results.statistics import CONFIDENCE, UNDEFINED, Interval, student_interval
 
 NOTHING = "–"
-REACHED = 0.9  # share of the paper's number that counts as reaching it
-LEVEL = 0.05  # largest probability that any claim of a page is wrongly replicated
-POWER = 0.8  # of a study that would decide an inconclusive claim
-FEWEST = 3  # least number of problems for an interval
+REACHED = 0.9  # fraction of the paper's number that counts as reaching it
+LEVEL = 0.05  # limit of the probability that any claim of a page is wrongly *replicated*
+POWER = 0.8  # power of a study that would decide an inconclusive claim
+FEWEST = 3  # smallest number of problems for an interval
 DRAWS = 2000  # simulated studies of the paper's size
 
 
 class Word(StrEnum):
-    """Result of a claim, or of its comparison with one baseline, the worst first."""
+    """Result of a claim, or of its comparison with one baseline; the worst is the first."""
 
     OPPOSITE = "opposite"
     SAME = "no difference"
@@ -42,10 +42,10 @@ def word_of(gain: Interval, margin: float, reached: float, similar: bool = False
     """Return the word for an interval.
 
     Args:
-        gain: interval of the gain; None where there are too few problems.
-        margin: gains up to it, of either sign, are no difference.
-        reached: nine tenths of the paper's number, see `Verdict.reached`.
-        similar: whether the claim is that nothing more than the margin is lost.
+        gain: interval of the gain; its bounds are None if there are too few problems.
+        margin: largest gain of either sign that counts as no difference.
+        reached: gain that is required for *replicated*, see `Verdict.reached`.
+        similar: whether the claim is that at most `margin` is lost.
     """
     if gain.low is None or gain.high is None:
         return Word.OPEN
@@ -67,13 +67,14 @@ def sample_size(ratio: float, level: float) -> int:
     """Return the number of values whose mean a t test distinguishes from a number with POWER.
 
     Args:
-        ratio: their standard deviation over how far their mean is from that number.
-        level: of the test, two-sided.
+        ratio: standard deviation of the values, divided by the distance of their mean from the
+            number.
+        level: two-sided level of the test.
     """
     from scipy.special import stdtrit  # slow to import
 
     count, last = FEWEST, 0
-    for _ in range(30):  # the quantiles depend on the count, and that on the quantiles
+    for _ in range(30):  # fixed-point iteration: the quantiles depend on the count
         quantiles = stdtrit(count - 1, 1.0 - level / 2.0) + stdtrit(count - 1, POWER)
         last, count = count, max(FEWEST, math.ceil((float(quantiles) * ratio) ** 2))
         if abs(count - last) <= 1:
@@ -87,12 +88,12 @@ class Verdict(NamedTuple):
     claim: Claim
     planner: str
     baseline: str
-    kind: str  # of problems, where a claim is judged kind by kind
+    kind: str  # kind of problems, if a claim is judged for each kind; else ""
     pairs: Sequence[Pair]
-    level: float  # of its two-sided interval
-    paper: float | None  # the paper's own gain
-    failed: tuple[int, int, int] = (0, 0, 0)  # runs: own failed, the baseline's failed, of both
-    known: bool = True  # whether rows are of a size that says anything
+    level: float  # two-sided error level of the interval
+    paper: float | None  # gain by the paper's numbers
+    failed: tuple[int, int, int] = (0, 0, 0)  # failed runs of planner and baseline, all runs
+    known: bool = True  # whether there are enough rows for a verdict
 
     @property
     def comparison(self) -> tuple[str, str, str]:
@@ -115,19 +116,19 @@ class Verdict(NamedTuple):
     def gain(self) -> Interval:
         """Mean over problems with Student's interval at the level of the page.
 
-        Shares have two made problems more, one for each side (Agresti and Min 2005): without, ten
-        of ten solved by both would be certain to be equal.
+        For fractions of solved runs two pseudo-problems are added, one for each side (Agresti and
+        Min 2005). Without them, ten of ten solved by both planners would be certain to be equal.
         """
         gains = self.gains
         if len(gains) < FEWEST:
             return Interval(fmean(gains) if gains else None, None, None, len(gains))
-        made = [math.sqrt(0.5), -math.sqrt(0.5)] if self.claim.is_share else []
-        found = student_interval([*gains, *made], 1.0 - self.level)
+        pseudo = [math.sqrt(0.5), -math.sqrt(0.5)] if self.claim.is_share else []
+        found = student_interval([*gains, *pseudo], 1.0 - self.level)
         return found._replace(estimate=fmean(gains), n=len(gains))
 
     @property
     def reached(self) -> float:
-        """Gain that counts as replicated: REACHED of the paper's number, else the margin."""
+        """Gain required for *replicated*: REACHED times the paper's effect, if it has one."""
         if self.paper is None or self.paper <= 0.0:
             return self.claim.margin
         if self.claim.is_share:
@@ -154,21 +155,21 @@ class Verdict(NamedTuple):
 
     @property
     def needed(self) -> int | None:
-        """Number of problems that would decide an inconclusive word, at the measured effect."""
+        """Number of problems that would decide an inconclusive claim, at the measured effect."""
         gains = self.gains
         if self.word is not Word.OPEN or len(gains) < FEWEST:
             return None
         mean, margin = fmean(gains), self.claim.margin
         away = abs(mean + margin) if self.claim.similar else max(abs(mean), margin - abs(mean))
-        spread = stdev(gains) or math.sqrt(1.0 / len(gains))  # then that of the made problems
+        spread = stdev(gains) or math.sqrt(1.0 / len(gains))  # the spread of the pseudo-problems
         return max(len(gains) + 1, sample_size(spread / max(away, 1e-3), self.level))
 
     @property
     def resolved(self) -> Interval:
-        """95 % range of the statistic of a study of the paper's size.
+        """95 % range of the paper's statistic in studies of the paper's size.
 
-        It is sampled from these rows: the paper's number of problems, one seed, the ratio of means
-        or the difference of shares.
+        Studies are drawn from these rows, with the paper's number of problems and one seed each.
+        The statistic is the ratio of means, or the difference of fractions of solved runs.
         """
         count = self.claim.runs
         if not count or not self.pairs:
@@ -234,7 +235,7 @@ def overall(verdicts: Iterable[Verdict]) -> Word:
 
 
 def verdict_lines(verdicts: Iterable[Verdict]) -> Lines:
-    """Return a line for each verdict; its last three columns only show the sensitivity."""
+    """Return a line for each verdict; the last three columns only show the sensitivity."""
     columns = "planner,against,paper,measured,problems,failed,paper inside?,verdict,to decide,"
     lines = [f"{columns}single runs resolve,means,median,heaviest".split(",")]
     for item in verdicts:

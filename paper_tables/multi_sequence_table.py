@@ -1,6 +1,7 @@
 """The paper's Table II: planning, execution and total time of whole tasks, and every phase.
 
-A row is one planned phase. Times of a task are sums over all phases, or those that the paper times.
+A row is one planned phase. Times of a task are sums over all its phases, or over the phases that
+the paper times.
 """
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -20,7 +21,7 @@ from cvqmpt_lab.paper_tables.table_engine import Column, Entry, SuiteTable
 from cvqmpt_lab.paper_tables.writers import Lines, number
 from cvqmpt_lab.results.row import PAPER_PHASES, FailReason, ResultRow, sorted_rows, split_problem
 
-# that a time sums over
+# phases over which times are summed, by part of the task; None: all phases
 PHASES_OF_PART: Mapping[str, Collection[str] | None] = {"paper": PAPER_PHASES, "all": None}
 TASK_PARTS = {
     "paper": "the three phases that the paper times (reach the handle, reach the can, carry)",
@@ -31,10 +32,15 @@ TASK_STATISTICS = {"mean": mean_of, "median": median_of}
 
 
 def task_rows(rows: Iterable[ResultRow], phases: Collection[str] | None = None) -> list[ResultRow]:
-    """Return a row for each task, planner, seed and backend: sums over the named phases, or all.
+    """Return a row for each task, planner, seed and backend, with sums over phases.
 
-    ``t_total_s`` is planning and ``execution_time_s`` execution. A task is solved when all its
-    phases are, the others too; the reason of a failure is that of its first failed phase.
+    ``t_total_s`` is the planning time and ``execution_time_s`` the execution time. A task is solved
+    if all its phases are solved, also those that are not summed; otherwise it fails for the reason
+    of its first failed phase.
+
+    Args:
+        rows: rows of phases.
+        phases: names of the phases whose times and lengths are summed; None: all phases.
     """
     tasks = []
     for group in grouped([(row.run_key, row) for row in sorted_rows(rows)]).values():
@@ -69,7 +75,7 @@ def of_tasks(measure: Measure, phases: Collection[str] | None = None) -> Measure
 
 
 def time_metric(time: str, part: str, statistic: str) -> str:
-    """Return the column name of a time of `TIMES`, summed over a part, as "mean" or "median"."""
+    """Return a column name, from keys of `TIMES`, `TASK_PARTS` and `TASK_STATISTICS`."""
     return f"{time}_of_{part}_phases_{statistic}"
 
 
@@ -90,7 +96,7 @@ TASK_COLUMNS: Mapping[str, Column] = {
 
 
 def _median(label: str, value: str, unit: str = "s", interval: bool = False) -> Column:
-    """Median over runs that reached the phase; failures are infinite."""
+    """Return a column with the median over runs that reached the phase; failures are infinite."""
     column = Column(f"{label} [{unit}]", unit, median_of(value))
     return column if interval else replace(column, cell=lambda ours: number(ours.estimate))
 
@@ -109,34 +115,41 @@ TASK_HEADLINES = {"accuracy": {"ours": "solved"}} | {
     time: {"ours": time_metric(time, "paper", "mean")} for time in TIMES
 }
 TASK_NOTES = (
-    "Ours: estimate [95 % interval]; round brackets mark the whole range: too few runs for 95 %.",
+    "Ours: estimate [95 % interval]; in round brackets the range of all runs, if these are too few "
+    "for an interval.",
     "A task counts as solved when every phase has a certified path that could be timed; Wilson "
     "interval.",
-    "Planning: wall time of goals, networks, search and simplification, attempts that were taken "
-    "back included. Mean over solved tasks (bootstrap interval), because the paper gives means; "
-    "median with failures as infinite.",
+    "Planning: wall-clock time of goals, networks, search and simplification, including attempts "
+    "that were undone later. Mean over solved tasks (bootstrap interval), because the paper gives "
+    "means; in the median, failures count as infinite.",
     "Execution: duration of the fastest motion within a tenth of the joints' velocity and "
-    "acceleration limits, at rest between phases. The paper's is the wall clock of a simulated "
-    "controller following waypoints: only ratios compare.",
-    "The paper replays a stored motion to open the door; here it is planned, as is the straight "
-    "way to the can. Both are outside the first table's times and inside the second's.",
-    "The final pose of the can is drawn for every task; in the published code a side effect "
-    "makes it the same in all.",
-    "Fallbacks: phases whose path did not come the way the planner's name promises; they count "
-    "as its own.",
+    "acceleration limits, at rest between phases. The paper's number is the wall-clock time of a "
+    "simulated controller that follows waypoints, so that only ratios can be compared.",
+    "The paper replays a stored motion to open the door. Here this motion is planned, and so is "
+    "the straight motion to the can. The first table leaves out their times, the second contains "
+    "them.",
+    "The final pose of the can is drawn for every task; in the published code it is the same in "
+    "all tasks, by a side effect.",
+    "Fallbacks: phases whose path was found by another method than the named planner; they count "
+    "as runs of the named planner.",
 )
 
 ABSENT = (
-    f"{CBIRRT} has no rows here. Cut off after 2 s, as with --profile small, it solved neither of "
-    "the first two tasks, in ten attempts at the way to the can and half a minute each; that "
-    "profile leaves it out."
+    f"{CBIRRT} has no rows here. With a limit of 2 s per search, as in --profile small, it solved "
+    "neither of the first two tasks: each took half a minute, with ten attempts to reach the can. "
+    "That profile therefore leaves it out."
 )
 
 
 def task_table(rows: Iterable[ResultRow], published: Sequence[PublishedValue]) -> SuiteTable:
-    """The paper's Table II for both sets of phases, then phases, fallbacks, failures and notes.
+    """Return the paper's Table II for both sets of phases, phases, fallbacks, failures and notes.
 
-    InvalidInputError for rows that are no phases.
+    Args:
+        rows: rows of one suite of tasks.
+        published: the paper's numbers.
+
+    Raises:
+        InvalidInputError: a row is not a phase of a task.
     """
     runs = table.suite_runs(rows, published)
     names = {split_problem(row.problem) for row in runs.rows}
@@ -180,7 +193,7 @@ def task_table(rows: Iterable[ResultRow], published: Sequence[PublishedValue]) -
 
 
 def _time_lines(found: Sequence[Entry], part: str) -> Lines:
-    """Return lines of solved tasks and times, with the paper's for the phases that it times."""
+    """Return a table of solved tasks and times; with the paper's times for part "paper"."""
     ours = part == "paper"
     lines = [["planner", "tasks run", "solved [%]"]]
     for label in TIMES.values():

@@ -1,6 +1,6 @@
 """Pages about results: the page of claims, the README's blocks and the html report.
 
-Words stand in `templates/`, and those about claims in `published/claims.toml`.
+Texts are in `templates/`; texts about claims are in `published/claims.toml`.
 """
 
 import base64
@@ -59,14 +59,14 @@ REPORT_COLUMNS = (
     "what",
 )
 
-SHOWN_FACTS = (  # of a session
+SHOWN_FACTS = (  # facts of a session that the report shows
     "command", "git_commit", "git_dirty", "date_utc", "cpu_model", "cpu_count", "platform",
     "python", "weights", "versions",
 )  # fmt: skip
 
 
 def rendered(template: str, **data: Any) -> str:
-    """A template of `templates/` with its data; in html, text from rows is escaped."""
+    """Render a template of `templates/` with data; in html, text from rows is escaped."""
     html = template.endswith(".html.j2")
     environment = Environment(
         loader=PackageLoader("cvqmpt_lab.paper_tables", "templates"),
@@ -80,7 +80,7 @@ def rendered(template: str, **data: Any) -> str:
 
 
 def reading() -> list[str]:
-    """Points on how to read verdicts."""
+    """Return explanations of verdicts, one for each item of a list."""
     numbers = {"share": REACHED, "level": LEVEL, "power": POWER}
     percents = {name: 100.0 * number for name, number in numbers.items()}
     prices = {"check": STATE_CHECK_COST, "residual": RESIDUAL_COST, "step": NEWTON_STEP_COST}
@@ -105,7 +105,7 @@ def summary_lines(claims: Iterable[JudgedClaim]) -> Lines:
 
 
 def beside_lines(own: Sequence[JudgedClaim], committed: Sequence[JudgedClaim]) -> Lines:
-    """A line a claim: numbers and verdict of own rows, and the verdict of the committed ones."""
+    """Return a line per claim: numbers and verdict of own rows, verdict of committed rows."""
     lines = [["claim", "against", "measured", "own verdict", "committed verdict"]]
     for line, known in zip(summary_lines(own)[1:], committed, strict=True):
         claim, _, against, _, measured, word, _ = line
@@ -125,7 +125,7 @@ def headline_lines(claims: Iterable[JudgedClaim]) -> Lines:
 
 
 def opening(claims: Sequence[JudgedClaim]) -> str:
-    """Return the counts of all words in a line, and the reason."""
+    """Return one paragraph with the number of claims per verdict, and the main reason."""
     count = Counter(item.word for item in claims)
     words = [Word.REPLICATED, Word.SMALLER, Word.SAME, Word.OPPOSITE, Word.OPEN]
     words += [word for word in (Word.UNTESTABLE, Word.NO_ROWS) if count[word]]
@@ -134,12 +134,12 @@ def opening(claims: Sequence[JudgedClaim]) -> str:
 
 
 def headline_text(claims: Sequence[JudgedClaim]) -> str:
-    """The opening and the table of `headline_lines`."""
+    """Return the opening and the table of `headline_lines`."""
     return f"{opening(claims)}\n\n{markdown_table(headline_lines(claims))}"
 
 
 def decomposition_lines(evidence: Evidence) -> Lines:
-    """Paired ratios of each step from the paper's CBiRRT to our own ideas."""
+    """Return paired changes of each step from the paper's CBiRRT to our own planners."""
     groups = by_planner(evidence.rows, ())
     found = [
         ([step, planner, against], groups, planner, against) for step, planner, against in STEPS
@@ -148,7 +148,7 @@ def decomposition_lines(evidence: Evidence) -> Lines:
 
 
 def kitchen_lines(found: Mapping[str, Evidence]) -> Lines:
-    """Return every planner against `birrt`, in the known kitchen and in an unseen one."""
+    """Return changes of planners relative to `birrt`, in the known and in the unseen kitchen."""
     kitchens = {word: by_planner(found[suite].rows, ()) for suite, word in KITCHENS.items()}
     planners = (CVQ, OPT, "birrt-printed", "cvq-tuned", "roadmap", "roadmap-cvq", CBIRRT)
     pairs = product(planners, kitchens.items())
@@ -171,7 +171,7 @@ def _change_lines(
 
 
 def page_text(found: Mapping[str, Evidence], claims: Sequence[JudgedClaim], root: Path) -> str:
-    """The page; links go from the folder `root`."""
+    """Return the page of claims; its links are relative to the folder `root`."""
     used = {name for item in claims for name in (item.claim.suite, item.claim.again)}
     used |= KITCHENS.keys()
     return rendered(
@@ -191,7 +191,7 @@ def page_text(found: Mapping[str, Evidence], claims: Sequence[JudgedClaim], root
 
 
 def _made_by(evidence: Evidence, root: Path) -> dict[str, Any]:
-    """A results directory: where its rows are, its commit and wall-clock, and its commands."""
+    """Return links to the rows of a results directory, its commit, time and commands."""
     made = sessions(evidence.record)
     facts = [(x.get("git_commit") or "unknown", x.get("date_utc") or "no date") for x in made]
     commits = dict.fromkeys(f"{commit[:12]} ({date[:10]})" for commit, date in facts)
@@ -209,7 +209,7 @@ def _made_by(evidence: Evidence, root: Path) -> dict[str, Any]:
 
 
 def wall_clock(evidence: Evidence) -> str:
-    """Wall clock of the command; if unknown, the sum of times in its rows."""
+    """Return the wall-clock time of a results directory; if unknown, the sum over its rows."""
     known = [session.get("wall_s") for session in sessions(evidence.record)]
     what, seconds = "wall-clock", sum(value or 0.0 for value in known)
     if None in known:
@@ -231,7 +231,7 @@ def report_html(
 
     Args:
         found: results directories by name, see `evidence_of`.
-        report: is called with the numbers of directories done and of all.
+        report: called with the number of finished directories and the number of all.
         paths: title and html of a path in 3-D, by the name of its directory.
     """
     claims = [item for item in judged_claims(found) if item.evidence]
@@ -260,21 +260,21 @@ def report_html(
 
 
 def evidence_of(directory: Path) -> dict[str, Evidence]:
-    """A results directory by its suite, or those below a folder by name, the place task first."""
+    """Return one results directory by suite, or all below a folder by name, place task first."""
     if (directory / PROVENANCE_FILE).is_file():
         single = read_evidence(directory)
         return {single.rows[0].suite if single.rows else directory.name: single}
     found = evidence_below(directory)
     if not found:
         raise InvalidInputError(
-            f"{directory} is no results directory and holds none; make one with: cvqmpt reproduce "
-            f"place-task --out {directory}"
+            f"{directory} is not a results directory and contains none; make one with: cvqmpt "
+            f"reproduce place-task --out {directory}"
         )
     return dict(sorted(found.items(), key=lambda item: (item[0] != "place-task", item[0])))
 
 
 def section_of(evidence: Evidence) -> dict[str, Any]:
-    """Everything that the report says of a results directory."""
+    """Return the data of the report's section on a results directory."""
     from cvqmpt_lab.paper_tables import plots  # matplotlib takes a second to import
 
     rows, name = evidence.rows, evidence.folder.name
@@ -305,11 +305,11 @@ def _plots(groups: Mapping[str, Rows]) -> dict[str, dict[str, str]]:
 
     length = VALUES["path_length"]
     timed = any(row.t_total_s is not None for rows in groups.values() for row in rows)
-    boxes = "A box holds the middle half of the runs, its line is the median, whiskers hold 90 %."
+    boxes = "Boxes contain the middle half of the runs, their line is the median; whiskers: 90 %."
     drawn = {
         "Solved against time": {
             "svg": plots.solved_curve(groups) if timed else "",
-            "words": "A line a planner; higher and further left is better.",
+            "words": "One line per planner; higher and further left is better.",
         },
         "Work, solved runs": {
             "svg": plots.distribution(groups, work, f"work: {WORK}"),
@@ -319,16 +319,16 @@ def _plots(groups: Mapping[str, Rows]) -> dict[str, dict[str, str]]:
             "svg": plots.distribution(groups, length, "length [rad]", log=False),
             "words": f"{boxes} Further left is shorter.",
         },
-        "Where time goes": {
+        "Time by stage": {
             "svg": plots.stage_times(groups) if timed else "",
-            "words": "A bar a planner; a colour a stage of planning.",
+            "words": "One bar per planner, one colour per stage of planning.",
         },
     }
     return {title: plot for title, plot in drawn.items() if plot["svg"]}
 
 
 def _row(row: ResultRow) -> list[object]:
-    """Cells of `REPORT_COLUMNS`."""
+    """Return the cells of `REPORT_COLUMNS` for a row."""
     what = row.fallback or row.detail or ""
     if not row.solved:
         what = f"{row.fail_reason}: {row.detail or ''}"
@@ -338,7 +338,7 @@ def _row(row: ResultRow) -> list[object]:
 
 
 def _provenance(evidence: Evidence) -> dict[str, str]:
-    """Return all facts of all sessions."""
+    """Return the `SHOWN_FACTS` of all sessions, joined by name."""
     facts = []
     for session in sessions(evidence.record):
         for name, fact in session.items():
@@ -353,7 +353,7 @@ def _provenance(evidence: Evidence) -> dict[str, str]:
 
 
 def _pictures(folder: Path) -> dict[str, str]:
-    """Pictures beside the rows as data addresses; of one in two forms, the first; 2 MB at most."""
+    """Return pictures of a folder, up to 2 MB, as data addresses; one format per picture."""
     kinds = {".png": "image/png", ".gif": "image/gif", ".svg": "image/svg+xml"}
     pictures: dict[str, str] = {}
     for kind, written in kinds.items():

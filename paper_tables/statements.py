@@ -1,4 +1,4 @@
-"""What the paper says, from ``published``: its numbers, and statements that rows can contradict."""
+"""The paper's numbers and claims, read from ``published``; rows can contradict the claims."""
 
 import csv
 import math
@@ -24,7 +24,7 @@ class PublishedValue:
     planner: str
     paper_name: str
     metric: str
-    value: str  # as printed there
+    value: str  # as printed in the paper
     unit: str
     note: str
 
@@ -53,10 +53,10 @@ class Claim:
     # largest change that counts as no difference: of a log ratio, or of a fraction for accuracy
     margin: float = -math.log(0.9)
     similar: bool = False  # whether the claim is that at most `margin` is lost, not a gain
-    by_kind: bool = False  # whether each kind of problem is a comparison of its own
+    by_kind: bool = False  # whether each kind of problem is a separate comparison
     runs: int | None = None  # number of runs of one planner in the paper
-    untestable: str = ""  # why no rows can answer it, or ""
-    published: str = ""  # the paper's name of the metric where ours differs
+    untestable: str = ""  # why no rows can decide the claim, or ""
+    published: str = ""  # the paper's name of the metric if it differs from ours
     # results directory with new problems; its rows replace the comparisons that it contains
     again: str = ""
     remark: str = ""  # note that a reader needs to interpret the numbers

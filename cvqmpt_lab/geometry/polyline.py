@@ -1,6 +1,7 @@
-"""Polylines through states (m, n) [rad or m]: lengths, places along them, cuts into pieces.
+"""Polylines through states (m, n) [rad or m]: lengths, places along them, subdivision.
 
-A place is a fractional number of a state: 12.5 is in the middle between states 12 and 13.
+A place is a fractional index of a state: 12.5 is in the middle between states 12 and 13. Lengths
+are Euclidean in joint space [rad or m].
 """
 
 import numpy as np
@@ -12,32 +13,42 @@ def step_lengths(states: np.ndarray) -> np.ndarray:
 
 
 def distances_along(states: np.ndarray) -> np.ndarray:
-    """Length of the polyline from its begin to each of the states (m, n), (m,)."""
+    """Lengths (m,) of the polyline from its first state to each of the states (m, n)."""
     return np.concatenate([[0.0], np.cumsum(step_lengths(states))])
 
 
 def states_at(states: np.ndarray, marks: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """States (k, n) at values (k,) of a parameter that has the values `marks` (m,) at states."""
+    """Interpolate states (m, n) linearly over a parameter.
+
+    Args:
+        states: (m, n) [rad or m].
+        marks: increasing values (m,) of the parameter at the states.
+        at: values (k,) of the parameter.
+
+    Returns:
+        States (k, n) at the values `at`.
+    """
     return np.stack([np.interp(at, marks, column) for column in states.T], axis=1)
 
 
 def evenly_along(states: np.ndarray, spacing: float) -> np.ndarray:
-    """States (k, n), k >= 2, at even distances of at most `spacing` along a polyline, with ends."""
+    """States (k, n), k >= 2, at equal distances of at most `spacing`, both ends included."""
     along = distances_along(states)
     count = max(2, int(np.ceil(along[-1] / spacing)) + 1)
     return states_at(states, along, np.linspace(0.0, along[-1], count))
 
 
 def states_between(states: np.ndarray, segment: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """States (..., n) at shares (...,) of segments: 0 is their begin, 1 their end."""
+    """States (..., n) at fractions `share` (...,) of segments: 0 is the start, 1 the end of one."""
     return states[segment] + share[..., None] * (states[segment + 1] - states[segment])
 
 
 def numbered_parts(counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Number all parts of segments that are cut into counts (m - 1,) parts.
+    """Number all parts of the polyline if segment i is cut into counts[i] parts, counts (m - 1,).
 
     Returns:
-        The segment of each part, and its number within the segment, from 0, (sum of counts,) each.
+        Index of the segment of each part, and index of the part in its segment, (sum of counts,)
+        each.
     """
     segment = np.repeat(np.arange(len(counts)), counts)
     part = np.arange(len(segment)) - np.repeat(np.cumsum(counts) - counts, counts)
@@ -45,12 +56,12 @@ def numbered_parts(counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def parts_within(states: np.ndarray, longest: float) -> np.ndarray:
-    """Least numbers (m - 1,) of even parts of the segments that are at most `longest`."""
+    """Smallest numbers (m - 1,) of equal parts per segment with parts of length <= `longest`."""
     return np.maximum(1, np.ceil(step_lengths(states) / longest)).astype(int)
 
 
 def cut(states: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    """States (k, n) with each segment of states cut into counts (m - 1,) even parts."""
+    """States (k, n) of the polyline with segment i cut into counts[i] equal parts."""
     segment, part = numbered_parts(counts)
     steps = np.diff(states, axis=0)
     begins = states[segment] + steps[segment] * part[:, None] / counts[segment, None]
@@ -69,7 +80,10 @@ def nearest_places(states: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, 
 
 
 class Polyline:
-    """Polyline by the distance along it; steps too short to change the distance are left out."""
+    """Polyline parametrised by the distance along it.
+
+    Steps that are too short to change this distance in floating point are left out.
+    """
 
     def __init__(self, states: np.ndarray) -> None:
         along = np.cumsum(step_lengths(states))
@@ -80,15 +94,15 @@ class Polyline:
         self.ends = self._states[[0, -1]]
 
     def stretches(self, begins: np.ndarray, halves: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Middles and corners of stretches of the polyline.
+        """Return the middle and all corners of stretches of the polyline.
 
         Args:
-            begins: distances along it where the stretches begin (k,).
-            halves: half lengths of the stretches (k,).
+            begins: distances along the polyline at the start of each stretch (k,) [rad or m].
+            halves: half lengths of the stretches (k,) [rad or m].
 
         Returns:
-            Middles (k, n), and ends with all states between them (k, c, n); stretches with fewer
-            states repeat their end.
+            Middle of each stretch (k, n); and its start, the states of the polyline inside it, and
+            its end (k, c, n). The end is repeated if a stretch has fewer than c of these.
         """
         states, along = self._states, self._along
         if len(states) == 1:

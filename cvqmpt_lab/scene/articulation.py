@@ -1,4 +1,4 @@
-"""Take a door or drawer out of a scene: it can then become a joint of the robot."""
+"""Remove a door or drawer from a scene, so that it can become a joint of the robot."""
 
 from collections.abc import Sequence
 
@@ -17,23 +17,27 @@ from cvqmpt_lab.scene.shapes import Measured
 def take_out(
     scene: Scene, name: str, may_touch: Sequence[tuple[str, str]] = ()
 ) -> tuple[Scene, ArticulatedObject]:
-    """Take the articulation `name`, at any value, out of a scene; return the rest and the object.
+    """Split a scene into an articulated object and the scene without it.
 
     A closed door is half a millimetre from the boards of its cabinet: less than the distance that
     planners keep from obstacles. Such boards become the object's casing, which is checked against
     the robot but not against the door. A fixed obstacle belongs to the casing if, in the whole
     range of the joint, its distance from the moving parts is somewhere below 1 mm and nowhere
-    below -0.1 mm (an overlap). All others stay obstacles for the moving parts, e.g. a box in their
-    path or other doors.
+    below -0.1 mm (an overlap). All other obstacles, such as another door or a box in the path of
+    the door, stay in the scene and are checked against the moving parts.
 
-    may_touch: (robot piece, part) pairs that may touch, see `ArticulatedObject`.
+    Args:
+        scene: scene with the articulation, whose joint may have any value.
+        name: name of the articulation.
+        may_touch: (robot piece, part) pairs that may touch, see `ArticulatedObject`.
     """
     joint = scene.articulation(name)
     movers = [scene[part] for part in joint.moves]
     cloud = next((item.name for item in movers if isinstance(item.shape, Measured)), None)
     if cloud is not None:
         raise InvalidInputError(
-            f"{cloud!r}, a part of {name!r}, is measured points: give a box or a mesh in its place"
+            f"{cloud!r}, a part of {name!r}, consists of measured points; replace it by a box or "
+            "a mesh"
         )
     moved = {part for item in scene.articulations for part in item.moves}
     standing = (item for item in scene.obstacles if item.name not in moved)
@@ -42,7 +46,8 @@ def take_out(
     T_joint_world = np.linalg.inv(joint.T_world_joint @ joint.motion(joint.value))
     heights = [(T_joint_world @ item.T_world_object)[2, 3] for item in movers]
     middle = pose((0.0, 0.0, float(np.mean(heights))))
-    T_world_joint = joint.T_world_joint @ middle  # the origin is then near the parts
+    # move the origin of the joint frame along z to the mean height of the parts
+    T_world_joint = joint.T_world_joint @ middle
     T_joint_world = np.linalg.inv(T_world_joint @ joint.motion(joint.value))
     articulated = ArticulatedObject(
         name=name,
@@ -70,11 +75,11 @@ def _rests_against(
     deepest: float = 1e-4,
     least_step: float = 1e-3,
 ) -> bool:
-    """Return whether movers get close to a fixed item in the joint's range without overlap.
+    """Return whether the moving objects come close to a fixed item, but never overlap it.
 
-    A change of the joint by d moves no point by more than J d, where J is the largest norm of a
-    point's Jacobian. Therefore the next check is at a value larger by (distance - rest_gap) / J,
-    but at least by least_step / J.
+    All values of the joint are covered: a change by d moves no point by more than J d, where J is
+    the largest norm of a point's Jacobian. Therefore the next check is at a value larger by
+    (distance - rest_gap) / J, but at least by least_step / J.
 
     Args:
         joint: the articulation.

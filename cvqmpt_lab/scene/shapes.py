@@ -17,7 +17,7 @@ from cvqmpt_lab.base.values import MAX_LENGTH_M, Array, FloatArray, Length, Name
 from cvqmpt_lab.geometry.convex import box_corners, require_volume
 
 Points = Annotated[FloatArray, Array((None, 3), "points x, y, z [m]", MAX_LENGTH_M)]
-MIN_THICKNESS_M = 1e-4  # thinner hulls are refused: their faces would be rounding errors
+MIN_THICKNESS_M = 1e-4  # thinner hulls are refused: rounding errors would decide their faces
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,13 +47,13 @@ class MeshFile(Checked):
     scale: Length = 1.0  # length of one unit of the file [m]
 
 
-# classes by "type" in JSON, for shapes in files
+# classes by "type" in JSON, for shapes that are stored in another file
 SHAPES_BY_PATH = {"cloud_file": CloudFile, "map_file": MapFile, "mesh_file": MeshFile}
 
 
 @dataclass(frozen=True)
 class WholeNumbers(Array):
-    """Form of integer indices of cells."""
+    """Array format of the integer indices of cells."""
 
     farthest: int = 1_000_000  # largest absolute index
 
@@ -81,7 +81,7 @@ class Box(Checked):
 
     @property
     def half(self) -> FloatArray:
-        """Half edges (3,) [m]."""
+        """Half edge lengths (3,) [m]."""
         return 0.5 * np.array(self.size)
 
     @property
@@ -186,7 +186,7 @@ class OccupancyMap(Checked):
 
 
 def require_resolution(resolution: float, finest: float = 1e-3) -> None:
-    """Refuse cells that are smaller than `finest` [m], and with it than the noise of sensors."""
+    """Refuse cells smaller than `finest` [m], which is already below the noise of sensors."""
     if not resolution >= finest:
         raise InvalidInputError(
             f"OccupancyMap.resolution is {resolution:g} m; give {finest:g} m or more"

@@ -46,7 +46,7 @@ BODY_COLOURS: Mapping[str, Colour] = {
     "trace": (0.96, 0.55, 0.05),
     "constraint": (0.60, 0.25, 0.72),
 }
-# of scene objects, by the beginning of a word in their name; the first match is used
+# colours of scene objects by the beginning of a word in their name; the first match is used
 OBJECT_COLOURS: Mapping[str, Colour] = {
     "floor": (0.88, 0.87, 0.85),
     "wall": (0.93, 0.92, 0.89),
@@ -81,7 +81,7 @@ class Body:
     torso: bool = False  # torso between two arms: viewpoints are chosen for the arms alone
 
     def at(self, state: int = 0) -> Mesh:
-        """Its triangles in the world at a state of the path."""
+        """Mesh in the world frame at a state of the path."""
         return self.mesh.placed(self.poses[state if len(self.poses) > 1 else 0], self.colour)
 
 
@@ -211,7 +211,8 @@ def drawing_of_problem(
         problem: the problem.
         path: a path of the problem; None: only start and goals are drawn.
         carried: objects drawn in the hand if the problem has no attachments.
-        most_states: a path of more states is resampled to equal distances; None: it is kept.
+        most_states: a path of more states is resampled to about this number, at equal distances;
+            None: it is kept.
         ghosts: number of translucent robots between start and goal.
         goals: largest number of goals drawn if there is no path.
         hidden: names of scene objects that are not drawn.
@@ -286,7 +287,8 @@ def drawing_of_solution(
     Args:
         solution: solved or not.
         carried: objects drawn in the hand if the problem has no attachments.
-        most_states: a path of more states is resampled to equal distances; None: it is kept.
+        most_states: a path of more states is resampled to about this number, at equal distances;
+            None: it is kept.
         plots: whether there are plots along the path or task.
         goals: largest number of goals drawn if there is no path.
         hidden: names of scene objects that are not drawn.
@@ -347,7 +349,7 @@ def frames(
     Args:
         solution: the task's solution.
         period: largest time between two frames of a motion [s].
-        pause: time for opening or closing the fingers [s].
+        pause: duration of a phase that opens or closes the fingers [s].
         clearance: whether the clearance during motions is computed.
     """
     found = []
@@ -363,8 +365,8 @@ def frames(
         motion = outcome.trajectory.sampled(period)
         checker = outcome.solution.problem.collision_checker()
         for t, q in zip(motion.times, motion.positions, strict=True):
-            free = checker.clearance(q) if clearance else math.nan
-            found.append(Frame(time + float(t), phase.name, world.moved(q), free))
+            distance = checker.clearance(q) if clearance else math.nan
+            found.append(Frame(time + float(t), phase.name, world.moved(q), distance))
         world = world.moved(outcome.solution.path.states[-1])
         time += motion.duration
     return found
@@ -392,11 +394,11 @@ def drawing_of_frames(
     Args:
         title: title of the drawing.
         scene: the scene at the beginning.
-        frames: states in order of time.
+        frames: states of the world, in order of time.
         lines: text below the drawing on a web page.
         most: largest number of frames, chosen evenly; None: all.
         hidden: names of scene objects that are not drawn.
-        plots: whether there are plots over the frames, and the trace of the hand.
+        plots: whether to add plots over time and the trace of the hand.
     """
     if most is not None and most < len(frames):
         frames = [frames[k] for k in np.linspace(0, len(frames) - 1, most).astype(int)]
@@ -440,5 +442,5 @@ def mesh_of(bodies: Iterable[Body], state: int = 0) -> Mesh:
 
 
 def mesh_in_view(bodies: Iterable[Body], state: int = 0) -> Mesh:
-    """One mesh of several bodies at a state, without the torso: viewpoints are chosen for it."""
+    """One mesh of several bodies at a state, without the torso; viewpoints must contain it."""
     return mesh_of((body for body in bodies if not body.torso), state)

@@ -1,4 +1,4 @@
-"""Labels on a roadmap: which nodes and edges are free in random scenes, and shortest paths."""
+"""Labels on a roadmap: free nodes and edges in random scenes, and shortest paths."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -33,8 +33,8 @@ from cvqmpt_lab.vqmpt.learned_sampler import dictionary_roadmap
 
 # starts and goals drawn in each scene; shortest paths lead from starts to goals
 STARTS, GOALS = 16, 48
-# limit of state checks per edge, on average over a scene's edges: scenes that need more have a
-# wall millimetres from the base
+# Limit of state checks per edge, on average over a scene's edges. A scene that needs more has an
+# obstacle a few millimetres from the robot's base.
 CHECKS_PER_EDGE = 60
 
 
@@ -82,7 +82,7 @@ def roadmap_graph(model: str, robot: Robot) -> RoadmapGraph:
     if len(roadmap.nodes) <= LINKS_PER_END:
         raise InvalidInputError(
             f"{robot.name}'s roadmap has {len(roadmap.nodes)} nodes; labels need more than "
-            f"{LINKS_PER_END}"
+            f"{LINKS_PER_END}: choose a dictionary with more codes"
         )
     count, k = roadmap.neighbours.shape
     pairs = np.stack([np.repeat(np.arange(count), k), roadmap.neighbours.ravel()], axis=1)
@@ -159,7 +159,7 @@ def verdicts(
 
 @lru_cache(maxsize=1)
 def checks_of(robot: Robot, graph: RoadmapGraph) -> int:
-    """Limit of state checks per edge, enlarged by factors of 4 until an empty scene stays below."""
+    """Limit of state checks per edge: multiplied by 4 until it suffices in an empty scene."""
     space = ConstrainedSpace(robot, Scene("nothing", ()))
     checks = CHECKS_PER_EDGE
     while verdicts(space, graph.nodes, graph.edges, graph.edge_possible, checks) is None:
@@ -172,10 +172,10 @@ def roadmap_labels(
 ) -> dict[str, np.ndarray] | None:
     """Check all nodes and edges of a roadmap in a scene, and find shortest paths on it.
 
-    Paths lead from random starts to random goals; half of these have the hand near an obstacle.
-    Pairs of start and goal whose straight motion is free are left out. A link joins a configuration
-    to one of its `LINKS_PER_END` nearest nodes. Starts, goals and configurations among obstacles
-    are linked.
+    Paths lead from random starts to random goals; half of the starts and goals have the hand near
+    an obstacle. Pairs of start and goal whose straight motion is free are left out. A link joins a
+    configuration to one of its `LINKS_PER_END` nearest nodes. Starts, goals and configurations
+    among obstacles are linked.
 
     Args:
         robot: the arm.
@@ -211,7 +211,7 @@ def roadmap_labels(
     _, link_free = linked
     # paths start and end at starts and goals, not at configurations among obstacles
     nodes, links = nodes[: count + len(ends)], links[: LINKS_PER_END * len(ends)]
-    cost, before = _shortest_paths(
+    cost, predecessors = _shortest_paths(
         nodes, graph.edges[edge_free], links[link_free[: len(links)]], count
     )
     all_pairs = np.argwhere(np.ones((len(starts), len(goals)), dtype=bool))
@@ -219,7 +219,7 @@ def roadmap_labels(
     for s, g in rng.permutation(all_pairs).tolist():
         if len(chosen) < pairs and not motion_free(space.arrays, starts[s], goals[g]):
             chosen.append((s, g))
-    codes = [_codes(before[s], count + STARTS + g) for s, g in chosen]
+    codes = [_codes(predecessors[s], count + STARTS + g) for s, g in chosen]
     s, g = np.array(chosen, dtype=np.int64).reshape(-1, 2).T
     return {
         "node_free": np.packbits(node_free)[None],
@@ -252,8 +252,9 @@ def _confined(
 ) -> np.ndarray:
     """Draw free configurations among obstacles (k, n), k <= most.
 
-    Of random configurations with the hand near an obstacle, those with the most collisions among
-    `around` neighbours are taken. Neighbours are drawn from a Gaussian of 0.25 rad.
+    Candidates are random free configurations with the hand near an obstacle. Those with the most
+    collisions among `around` neighbours are kept. Neighbours are drawn from a Gaussian with a
+    standard deviation of 0.25 rad around the candidate.
     """
     robot = space.robot
     candidates = robot.random_configurations(rng, 1024)
@@ -288,17 +289,17 @@ def _shortest_paths(
     starts = np.arange(count, min(count + STARTS, len(nodes)))
     if len(starts) == 0:
         return np.empty((0, 0)), np.empty((0, len(nodes)))
-    cost, before = dijkstra(graph, indices=starts, return_predecessors=True)
-    return cost[:, count + STARTS :], before
+    cost, predecessors = dijkstra(graph, indices=starts, return_predecessors=True)
+    return cost[:, count + STARTS :], predecessors
 
 
-def _codes(before: np.ndarray, goal: int) -> list[int]:
+def _codes(predecessors: np.ndarray, goal: int) -> list[int]:
     """Return the codes on the path to row `goal`, in order; empty if there is no path.
 
-    before: (rows,), predecessor of each row, see `_shortest_paths`.
+    predecessors: (rows,), predecessor of each row, see `_shortest_paths`.
     """
-    rows, row = [], int(before[goal])
+    rows, row = [], int(predecessors[goal])
     while row >= 0:
         rows.append(row)
-        row = int(before[row])
+        row = int(predecessors[row])
     return rows[-2::-1]  # reversed, without the start, which is the last row

@@ -96,7 +96,7 @@ def filled(
         tolerance: largest error of constant buffers, and of the unit length of codes.
 
     Raises:
-        InvalidInputError: a tensor is missing or left over, has another shape or dtype, is not
+        InvalidInputError: a tensor is missing or unknown, has another shape or dtype, is not
             finite, or is impossible after training: a negative variance, a code that is not of
             unit length, a constant of another model.
     """
@@ -112,7 +112,7 @@ def filled(
         last = name.rsplit(".", 1)[-1]
         constant = last in ("pos_table", "l_index")  # buffers that follow from the sizes
         if constant and (tensor - expected[name]).abs().max() > tolerance:
-            faults.append(f"{name} is not that of this model's sizes")
+            faults.append(f"{name} is not the constant for the sizes of this model")
         if last == "running_var" and (tensor < 0.0).any():
             faults.append(f"{name} has negative variances")
         codes = f".{name}".endswith(".embedding.weight")  # planning needs codes of unit length
@@ -128,7 +128,7 @@ def _require_fit(module: nn.Module, tensors: Mapping[str, Tensor], where: str) -
     faults = [f"{name} is missing" for name in expected if name not in tensors]
     for name, tensor in sorted(tensors.items()):
         if name not in expected:
-            faults.append(f"{name} {tuple(tensor.shape)} is left over")
+            faults.append(f"{name} {tuple(tensor.shape)} is not part of the model")
         elif tensor.shape != expected[name].shape:
             faults.append(
                 f"{name} is {tuple(tensor.shape)}, expected {tuple(expected[name].shape)}"
@@ -149,7 +149,7 @@ def _refuse(faults: list[str], where: str) -> None:
 
 
 def import_published(dictionary_dir: Path, ar_dir: Path, robot: RobotSignature) -> Checkpoint:
-    """Convert a published checkpoint; every tensor must fit, and none may be left over.
+    """Convert a published checkpoint; every tensor must fit, and unknown tensors are refused.
 
     Args:
         dictionary_dir: folder with ``model_params.json`` and ``best_model.pkl`` (stage 1).
@@ -183,8 +183,8 @@ def _config(dictionary_dir: Path, ar_dir: Path) -> ModelConfig:
     sequence = _fields(ar_dir / "ar_params.json", (*sizes, "num_keys"))
     if context["d_context"] != stage1["c_space_dim"]:
         raise InvalidInputError(
-            f"{ar_dir / 'cross_attn.json'}: d_context {context['d_context']} is not the "
-            f"dictionary's c_space_dim {stage1['c_space_dim']}; these folders are not of one model"
+            f"{ar_dir / 'cross_attn.json'}: d_context {context['d_context']} is not "
+            f"c_space_dim {stage1['c_space_dim']} of the dictionary; give two folders of one model"
         )
     if sequence["num_keys"] < 3:
         raise InvalidInputError(
@@ -200,7 +200,7 @@ def _config(dictionary_dir: Path, ar_dir: Path) -> ModelConfig:
             "transformer": sizes1,
             "n_position": stage1["n_position"],
             "n_codes": sequence["num_keys"] - 2,
-            # constant in the published scripts, which the json files do not hold
+            # a constant of the published scripts; the json files do not contain it
             "code_dim": 8,
         },
         "point_cloud": {"sa2": {"radius": 0.4, "widths": [256, stage1["d_model"]]}},
@@ -221,23 +221,23 @@ def _fields(path: Path, names: tuple[str, ...]) -> dict[str, Any]:
 
 
 def _together(
-    content: Mapping[str, Any], places: Mapping[str, str], where: Path
+    content: Mapping[str, Any], submodules: Mapping[str, str], where: Path
 ) -> dict[str, Tensor]:
-    """Return all tensors of a stage, by the names that our module has for them.
+    """Return all tensors of a stage by their names in our module.
 
     Args:
         content: states of the published modules by name.
-        places: name of a published state -> name of our submodule.
+        submodules: name of our submodule by the name of a published state.
         where: file, at the beginning of an error message.
     """
     tensors: dict[str, Tensor] = {}
-    for name, part in places.items():
+    for name, part in submodules.items():
         state = content.get(name)
         if not isinstance(state, dict) or not all(
             isinstance(tensor, Tensor) for tensor in state.values()
         ):
             raise InvalidInputError(
-                f"{where}: {name} is missing or not made of tensors; the file has "
+                f"{where}: {name} is missing or does not consist of tensors; the file has "
                 f"{', '.join(map(str, content))}"
             )
         tensors |= {f"{part}.{key}": tensor for key, tensor in state.items()}
@@ -248,40 +248,46 @@ def read_tensors(path: Path) -> dict[str, Any]:
     """Read a pickle that may hold tensors and plain values, but no code.
 
     Raises:
-        InvalidInputError: the file is missing, empty, cut short, a web page, a tar archive, or a
-            pickle that would run code; the message says which.
+        InvalidInputError: the file is missing, empty, truncated, a web page, a tar archive, or a
+            pickle that would run code; the message says which of these.
     """
     data = read_bytes(path)
     if tarfile.is_tarfile(io.BytesIO(data)):  # torch would unpack it to a folder
-        raise InvalidInputError(f"{path} is a tar archive, no torch checkpoint; fetch it again")
-    # a learning rate may have been saved as a numpy number, under either path
+        raise InvalidInputError(
+            f"{path} is a tar archive, not a torch checkpoint; download it again"
+        )
+    # a saved learning rate may be a numpy scalar, by the module path of numpy 1 or of numpy 2
     scalar: Any = np.float64(0.0).__reduce__()[0]
     kinds = (np.dtypes.Float64DType, np.dtypes.Float32DType, np.dtypes.Int64DType)
     harmless = [scalar, (scalar, "numpy.core.multiarray.scalar"), np.dtype, *kinds]
     try:
         with torch.serialization.safe_globals(harmless), warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # they concern kinds of pickles that are refused
+            # torch warns about kinds of pickles that are refused below
+            warnings.simplefilter("ignore")
             content = torch.load(path, map_location="cpu", weights_only=True)
     # a damaged pickle can raise any exception
     except Exception as error:
         raise InvalidInputError(_refusal(path, data[:512], error)) from error
     if not isinstance(content, dict):
         raise InvalidInputError(
-            f"{path} holds a {type(content).__name__}; expected a dictionary of states"
+            f"{path} contains a {type(content).__name__}; expected a dictionary of states"
         )
     return content
 
 
 def _refusal(path: Path, beginning: bytes, error: Exception) -> str:
-    """Return the error message for a file that is no torch checkpoint."""
+    """Return the error message for a file that is not a torch checkpoint."""
     if not beginning:
-        return f"{path} is empty; fetch it again"
+        return f"{path} is empty; download it again"
     if beginning.lstrip()[:1] == b"<":
-        return f"{path} is a web page or xml, no torch checkpoint; fetch the file itself"
+        return f"{path} is a web page or xml, not a torch checkpoint; download the file itself"
     name = re.search(r"GLOBAL ([\w.]+)", str(error))
     if isinstance(error, pickle.UnpicklingError) and name:
         return (
-            f"{path} is refused: it holds {name[1]}, more than tensors, and would run code, or is "
-            "cut short"
+            f"{path} is refused: it contains {name[1]}, which is not a tensor and could run code, "
+            "or the file is truncated"
         )
-    return f"{path} is no torch checkpoint, or cut short ({type(error).__name__}); fetch it again"
+    return (
+        f"{path} is not a torch checkpoint, or is truncated ({type(error).__name__}); download it "
+        "again"
+    )

@@ -1,6 +1,6 @@
-"""Layers of networks in numpy, float32: they compute the same as those of torch.
+"""Network layers in numpy, float32, equal to those of torch up to rounding.
 
-Planning uses them for the scene transformer and MPNet, and so starts without torch.
+Planning uses them for the scene transformer and MPNet, so that it does not need torch.
 """
 
 from typing import NamedTuple
@@ -48,23 +48,24 @@ class Layers:
         self._model, self._part = model, part
 
     def array(self, name: str, *shape: int) -> np.ndarray:
-        """Return an array of this shape."""
+        """Return the array of this name, which must have this shape."""
         return self._model.array(self._part, name, *shape).astype(np.float32)
 
     def linear(self, name: str, inputs: int, outputs: int) -> Linear:
-        """Return a linear layer."""
+        """Return the linear layer of this name."""
         weight, bias = self._model.linear(self._part, name, inputs, outputs)
         return Linear(np.ascontiguousarray(weight.T, dtype=np.float32), bias.astype(np.float32))
 
     def norm(self, name: str, width: int) -> Norm:
-        """Return a layer norm."""
+        """Return the layer norm of this name, for rows of this width."""
         return Norm(self.array(f"{name}.weight", width), self.array(f"{name}.bias", width))
 
 
 class Block:
     """Attention and a feed-forward block, each after a layer norm.
 
-    q is linear in the normalised tokens; k and v are too, or in those of a context. With heads h,
+    The queries q are linear in the normalised tokens. The keys k and values v are linear in the
+    same normalised tokens, or in the normalised tokens of a context. With heads h,
 
         x <- x + W_o [softmax(q_h k_h^T / sqrt(d_h)) v_h]_h,    x <- x + W_2 gelu(W_1 norm(x)).
 
@@ -82,7 +83,7 @@ class Block:
             width: d, width of tokens.
             heads: number of heads.
             inner: width between the two layers of the feed-forward block.
-            context: keys and values are computed from a context, which has a separate norm.
+            context: whether keys and values are computed from a context, with a norm of its own.
         """
         norm = layers.norm(f"{name}.norm", width)
         inner_norm = layers.norm(f"{name}.inner_norm", width)
@@ -108,7 +109,7 @@ class Block:
         return np.ascontiguousarray(keys), np.ascontiguousarray(values)
 
     def attend(self, x: np.ndarray, keys: np.ndarray, values: np.ndarray) -> np.ndarray:
-        """Map rows x (r, d), which all attend to the tokens of these keys and values."""
+        """Map rows x (r, d), each of which attends to all tokens of these keys and values."""
         q = self.query(standardised(x)).reshape(len(x), self.heads, -1).transpose(1, 0, 2)
         heads = softmax(q @ keys) @ values
         return self._feed_forward(x, heads.transpose(1, 0, 2).reshape(x.shape))

@@ -60,6 +60,6 @@ def test_what_does_not_go_together_is_refused(folder, cvqmpt, capsys):
     check = ("check-tables", folder)
     assert "--planners A,B" in refused(capsys, *check, "--update")
     cvqmpt(f"check-tables {folder} --update --planners roadmap")
-    assert "only of roadmap" in refused(capsys, *check, "--planners", "birrt")
+    assert "choose from roadmap" in refused(capsys, *check, "--planners", "birrt")
     assert "go with --update" in refused(capsys, *check, "--seeds", "2")
     assert "go without a folder" in refused(capsys, *check, "--all")

@@ -104,7 +104,7 @@ def test_the_committed_page_and_the_readme_are_what_the_command_writes_from_the_
 
 
 def test_a_readme_without_marks_is_refused():
-    refused("put them where", committed.with_part, "a README without marks", "verdicts", "")
+    refused("add both where", committed.with_part, "a README without marks", "verdicts", "")
 
 
 def test_a_claim_is_judged_against_all_planners_named(tmp_path):
@@ -157,7 +157,7 @@ def test_a_roadmap_is_compared_by_the_work_of_birrt_and_where_it_held_no_path():
 
 def test_claims_without_rows_say_so_and_what_cannot_be_tested_too(tmp_path):
     found = by_title(a_results_folder(tmp_path, opt_cvq_mpt=1.0, ompl_projected=3.0))
-    titles = "Opt tasks: plans −45 %", "lower G of codes", "Opt: twice as fast", "solve as many"
+    titles = "Opt tasks: planning −45 %", "lower G of codes", "Opt: twice as fast", "solve as many"
     assert {found[title].word for title in titles} == {Word.NO_ROWS}, "or not of all planners"
     assert found["complete"].word is Word.UNTESTABLE and found["complete"].deciding is None
     assert found["Opt: shorter paths"].verdicts[0].word is Word.SAME, "all paths are 6 rad"
@@ -191,10 +191,10 @@ def page(results):
 
 
 def test_a_report_holds_all_its_parts_needs_no_network_and_names_are_text(page):
-    texts = "Is the paper replicated?", "not testable", "Solved against time", "Where time goes"
+    texts = "Is the paper replicated?", "not testable", "Solved against time", "Time by stage"
     assert all(text in page for text in (*texts, "Provenance"))
     assert page.count("<svg") == 4 and "cvqmpt plan place-task --problem PROBLEM" in page
-    colours, plot, table = map(page.index, ("What the colours mean", "<svg", '<div class="wide">'))
+    colours, plot, table = map(page.index, ('id="colours">Colours', "<svg", '<div class="wide">'))
     assert colours < plot < table, "plots lead"
     assert f'background: {line_style("opt-cvq-mpt")["color"]}"></i> opt-cvq-mpt' in page
     assert 'href="#rows/0/opt-cvq-mpt"' in page, "a number leads to its rows"
@@ -217,7 +217,7 @@ def test_the_command_writes_it_beside_the_rows_and_refuses_other_folders(
 ):
     cvqmpt("report", results / "place-task", "--out", tmp_path / "r.html")
     assert (tmp_path / "r.html").read_text().startswith("<!doctype html>")
-    assert "holds none; make one with" in command_refused(capsys, "report", tmp_path)
+    assert "contains none; make one with" in command_refused(capsys, "report", tmp_path)
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no chromium here (Debian: apt install chromium)")

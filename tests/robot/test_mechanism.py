@@ -136,7 +136,7 @@ def test_an_unknown_door_and_a_door_of_measured_points_are_refused():
     part = scene.articulation(SHELF_DOOR).moves[0]
     measured = replace(scene[part], shape=PointCloud(np.zeros((3, 3)), 0.01))
     objects = tuple(measured if item.name == part else item for item in scene.objects)
-    message = f"'{part}', a part of '{SHELF_DOOR}', is measured points"
+    message = f"'{part}', a part of '{SHELF_DOOR}', consists of measured points"
     refused(r"'fridge'.*dagger_door_left", take_out, scene, "fridge", error=UnknownChoiceError)
     refused(message, take_out, replace(scene, objects=objects), SHELF_DOOR)
 

@@ -179,15 +179,15 @@ def with_bias(bias):
 def test_tensors_that_do_not_fit_are_listed(published, published_states):
     for name, change, message in (
         ("encoder_state", lambda s: without(s, "layer_norm.bias"), "norm.bias is missing"),
-        ("quantizer_state", lambda s: s | {"ema": torch.zeros(3)}, r"ema \(3,\) is left over"),
+        ("quantizer_state", lambda s: s | {"ema": torch.zeros(3)}, r"ema \(3,\) is not part of"),
         ("decoder_state", with_bias(torch.zeros(6)), r"mu.0.bias is \(6,\), expected \(7,\)"),
         ("decoder_state", with_bias(torch.zeros(7).long()), "bias is torch.int64"),
         ("context_state", lambda s: None, "context_state is missing.*the file has ar_model_state"),
-        ("context_state", lambda s: {"a": 1}, "not made of tensors"),
+        ("context_state", lambda s: {"a": 1}, "does not consist of tensors"),
         ("decoder_state", with_bias(1e300 * torch.ones(7).double()), "bias has NaN or inf"),
         ("decoder_state", with_bias(torch.zeros(7).to_sparse()), "mu.0.bias is sparse"),
         ("decoder_state", with_bias(torch.zeros(7, device="meta")), "bias is .*without data"),
-        ("decoder_state", lambda s: s | {"l_index": s["l_index"].flip(1)}, "l_index is not that"),
+        ("decoder_state", lambda s: s | {"l_index": s["l_index"].flip(1)}, "l_index is not the"),
         ("encoder_state", lambda s: s | {POSITIONS: torch.zeros(1, 40, 512)}, "pos_table is not"),
         ("quantizer_state", lambda s: s | {CODES: 2 * s[CODES]}, "not of unit length"),
         ("quantizer_state", lambda s: s | {VARIANCES: -torch.ones(8)}, "negative variances"),
@@ -202,7 +202,7 @@ def test_json_files_are_checked(published):
         ("model_params", without(STAGE1, "d_v"), {}, r"model_params.json: d_v is missing"),
         ("cross_attn", CONTEXT, {"size": 1}, r"cross_attn.json: size is unknown"),
         ("ar_params", SEQUENCE, {"n_heads": "3"}, r"ar_params.json: n_heads is '3'"),
-        ("cross_attn", CONTEXT, {"d_context": 6}, "6 is not the dictionary's c_space_dim 7"),
+        ("cross_attn", CONTEXT, {"d_context": 6}, "6 is not c_space_dim 7 of the dictionary"),
         ("ar_params", SEQUENCE, {"num_keys": 2}, "num_keys 2 has no codes"),
         ("model_params", STAGE1, {"dropout": 1.5}, "ar: dictionary.transformer.dropout is 1.5"),
         ("ar_params", SEQUENCE, {"d_model": 256}, "one latent width"),
@@ -227,7 +227,7 @@ def legacy(content, path):
 def test_a_pickle_that_would_run_code_is_refused(published, tmp_path, save):
     folders = published()
     save({"encoder_state": Malicious(tmp_path / "ran")}, folders[0] / "best_model.pkl")
-    refused("is refused: it holds posix.mkdir, .* run code", import_published, *folders, ROBOT)
+    refused("is refused: it contains posix.mkdir, .* run code", import_published, *folders, ROBOT)
     assert not (tmp_path / "ran").exists()
 
 
@@ -236,12 +236,12 @@ def test_files_that_are_no_checkpoint_are_refused_with_their_kind(tmp_path):
     torch.save([1], tmp_path / "list")
     os.mkfifo(tmp_path / "fifo")
     for name, content, message in (
-        ("tar", b"\0" * 1024, "tar is a tar archive, no torch checkpoint; fetch it again"),
-        ("zip", b"PK\x03\x04 broken", "zip is no torch checkpoint, or cut short"),
+        ("tar", b"\0" * 1024, "tar is a tar archive, not a torch checkpoint; download it again"),
+        ("zip", b"PK\x03\x04 broken", "zip is not a torch checkpoint, or is truncated"),
         ("nothing", b"", "nothing is empty"),
         ("page", b"\n<!DOCTYPE html><html><title>Google Drive", "page is a web page"),
-        ("pickle", pickle.dumps({"a": Malicious("ran")}), "pickle is no torch checkpoint"),
-        ("list", None, "holds a list"),
+        ("pickle", pickle.dumps({"a": Malicious("ran")}), "pickle is not a torch checkpoint"),
+        ("list", None, "contains a list"),
         ("fifo", None, "regular"),
         ("none", None, "No such file"),
     ):
