@@ -70,7 +70,9 @@ SCAN: Options = {
             **REPEATED,
         ),
         "--scale": option(
-            "metres per unit (1; 0.001 for a 16-bit image)", type=positive, metavar="M"
+            "metres per unit (1; 0.001 for a 16-bit image), also of extrinsics beyond 100 m",
+            type=positive,
+            metavar="M",
         ),
         "--level": option(
             "find the table and level it, instead of --extrinsics", choices=("table",)
@@ -159,6 +161,15 @@ def scan_of(args: argparse.Namespace, files: Sequence[Path], robot: Robot, arm: 
     extrinsics = _each("--extrinsics", args.extrinsics, files)
     cameras = zip(files, intrinsics, extrinsics, strict=True)
     captures = [read_capture(file, lens, pose, args.scale) for file, lens, pose in cameras]
+    gaps = [float(np.linalg.norm(capture.in_world, axis=1).min()) for capture in captures]
+    # where no capture is in reach, the scene of all of them gives the warning
+    for file, gap in zip(files, gaps, strict=True):
+        if gap > robot.reach >= min(gaps) and not args.level:
+            log(
+                f"scan {file}: none of its points is in the arm's reach of {robot.reach:.3g} m: "
+                f"the nearest is {gap:.3g} m away; extrinsics not in metres, inverted, or of "
+                "another frame?"
+            )
     crop: Any = args.crop
     changes: dict[str, Any] = {
         "crop": crop and Crop(kind="box", lower=tuple(crop[:3]), upper=tuple(crop[3:])),
@@ -282,11 +293,11 @@ def motion_problem(args: argparse.Namespace) -> PlanningProblem:
     constraint = tuple(_constraint(text, robot, start) for text in args.constraint)
     if args.scene is not None:
         scene = read_scene(args.scene)
-        check_extent(scene, robot.reach, f"scene {args.scene}")
     else:
         arm = arm_of(args, robot, start)
         scene = scene_of(args, scanned(args, arm), arm)
         refuse_touching(scene, Arm(robot, start))
+    check_extent(scene, robot.reach, f"scene {args.scene}" if args.scene else "scan")
     return PlanningProblem(
         (args.scene or args.cloud[0]).stem,
         robot,
@@ -360,6 +371,7 @@ def run(args: argparse.Namespace) -> None:
     arm = None if args.arm_at is None else Arm(robot, configuration(robot, "--arm-at", args.arm_at))
     made = scan_of(args, args.files, robot, arm)
     scene = scene_of(args, made, arm)
+    check_extent(scene, robot.reach, "scan")
     if arm is not None:
         refuse_touching(scene, arm)
     print("\n".join(scan_report(made, args.files)))

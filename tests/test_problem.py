@@ -16,8 +16,9 @@ from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, upright
 from cvqmpt_lab.planning.pipeline import with_drawn_goals
 from cvqmpt_lab.problem import PlanningProblem, check_problem, usable_goals
 from cvqmpt_lab.robot.load import group_states
+from cvqmpt_lab.scene.cells import map_of_points
 from cvqmpt_lab.scene.scene import Scene, SceneObject
-from cvqmpt_lab.scene.shapes import Box
+from cvqmpt_lab.scene.shapes import Box, ConvexMesh, PointCloud
 
 
 def test_a_problem_that_cannot_be_planned_is_refused_by_start_or_goal(problem):
@@ -145,6 +146,33 @@ def test_a_scene_out_of_reach_is_suspected(problem, caplog):
         own = replace(problem, scene=Scene("room", (moved,)), goals=problem.goals[:0])
         PlanningProblem.from_dict(own.to_dict())
         assert ("m: the nearest, 'shelf', is" in caplog.text) == told
+
+
+def test_points_far_from_a_near_frame_are_suspected_and_then_refused(problem, caplog):
+    """Frames at the robot's base; a cloud and a mesh 12 m away, of a wrong frame, were certified.
+
+    Kinds that are made from measured points were never refused, however far.
+    """
+    corners = np.array([[x, y, z] for x in (0.0, 0.2) for y in (0.0, 0.2) for z in (0.0, 0.2)])
+    shapes = {
+        "cloud": lambda away: PointCloud(corners + (away, 0.0, 0.0), 0.01),
+        "map": lambda away: map_of_points(corners + (away, 0.0, 0.0), 0.02),
+        "mesh": lambda away: ConvexMesh(corners + (away, 0.0, 0.0)),
+    }
+    for name, shape in shapes.items():
+        for away, times in ((0.6, 0), (12.0, 1)):
+            caplog.clear()
+            scene = Scene("room", (SceneObject(name, shape(away), np.eye(4)),))
+            PlanningProblem.from_dict(
+                replace(problem, scene=scene, goals=problem.goals[:0]).to_dict()
+            )
+            told = (
+                rf"no obstacle is in the arm's reach of .* the nearest, '{name}', is 1[12](\.\d)? m"
+            )
+            assert len(re.findall(told, caplog.text)) == times
+        scene = Scene("room", (SceneObject(name, shape(120.0), np.eye(4)),))
+        far = replace(problem, scene=scene, goals=problem.goals[:0]).to_dict()
+        refused(f"'{name}', is 1[12].* m away, more than 100", PlanningProblem.from_dict, far)
 
 
 def test_configurations_by_joint_and_by_the_srdf(problem):

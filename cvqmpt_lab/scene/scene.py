@@ -21,7 +21,7 @@ from cvqmpt_lab.base.codec import Checked, from_plain
 from cvqmpt_lab.base.errors import InvalidInputError, UnknownChoiceError, at, shown, unique
 from cvqmpt_lab.base.poses import Pose, pose
 from cvqmpt_lab.base.values import FloatArray, Mass, Name
-from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Measured, OccupancyMap, Shape
+from cvqmpt_lab.scene.shapes import ConvexMesh, Measured, OccupancyMap, PointCloud, Shape, Sphere
 
 
 @dataclass(frozen=True, eq=False)
@@ -259,10 +259,10 @@ def check_extent(
     """
     gaps = {item.name: distance(item) for item in scene.obstacles}
     for k, item in enumerate(scene.objects):
-        if not item.obstacle or isinstance(item.shape, Measured):
+        if not item.obstacle:
             continue
         lengths: tuple[float, ...] = ()
-        if not isinstance(item.shape, ConvexMesh):
+        if not isinstance(item.shape, ConvexMesh | Measured):
             lengths = tuple(np.ravel([*vars(item.shape).values()]).tolist())
         name = f"{at(where, f'objects[{k}], {item.name!r},')} is"
         _refuse_above(largest, max(lengths, default=0.0), name, "large")
@@ -277,12 +277,19 @@ def check_extent(
 
 
 def distance(item: SceneObject) -> float:
-    """Return an obstacle's distance [m] from the origin; exact for boxes, else a lower bound."""
-    if isinstance(item.shape, Box):
-        T = item.T_world_object
-        # the origin in the box's frame, up to the sign
-        beyond = np.abs(T[:3, 3] @ T[:3, :3]) - item.shape.half
-        return float(np.linalg.norm(np.maximum(beyond, 0.0)))
-    return max(
-        math.dist(item.T_world_object[:3, 3], (0.0, 0.0, 0.0)) - item.shape.bounding_radius, 0.0
-    )
+    """Return an obstacle's distance [m] from the origin: exact for boxes, else a lower bound."""
+    shape, T = item.shape, item.T_world_object
+    if isinstance(shape, PointCloud | OccupancyMap):
+        of_map = isinstance(shape, OccupancyMap)
+        points = (shape.centres if of_map else shape.points) @ T[:3, :3].T + T[:3, 3]
+        around = 0.5 * math.sqrt(3.0) * shape.resolution + shape.padding if of_map else shape.radius
+        return max(float(np.linalg.norm(points, axis=1).min()) - around, 0.0)
+    if isinstance(shape, Sphere):
+        return max(math.dist(T[:3, 3], (0.0, 0.0, 0.0)) - shape.radius, 0.0)
+    if isinstance(shape, ConvexMesh):
+        low, high = shape.vertices.min(axis=0), shape.vertices.max(axis=0)
+    else:
+        low, high = -shape.half, shape.half
+    # the origin in the shape's frame, relative to the box of its corners
+    beyond = np.abs(-T[:3, 3] @ T[:3, :3] - 0.5 * (low + high)) - 0.5 * (high - low)
+    return float(np.linalg.norm(np.maximum(beyond, 0.0)))

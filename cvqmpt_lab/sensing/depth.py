@@ -15,7 +15,7 @@ import numpy as np
 from cvqmpt_lab.base.codec import from_plain, to_plain
 from cvqmpt_lab.base.errors import InvalidInputError, located, mapping
 from cvqmpt_lab.base.files import json_value, write_bytes, write_text, yaml_value
-from cvqmpt_lab.base.poses import Placement, Pose, PoseForm, ros_vector
+from cvqmpt_lab.base.poses import Placement, Pose, PoseForm, rigid, ros_vector
 from cvqmpt_lab.base.values import Array, FloatArray
 from cvqmpt_lab.scene.cloud_files import (
     Cloud,
@@ -24,6 +24,7 @@ from cvqmpt_lab.scene.cloud_files import (
     read_by_suffix,
     read_cloud,
 )
+from cvqmpt_lab.scene.scene import log, refuse_far_poses
 from cvqmpt_lab.sensing.camera import Intrinsics, View
 
 
@@ -39,14 +40,15 @@ def read_capture(
         path: depth image or cloud.
         intrinsics: file for `read_intrinsics`; None: `path` is a cloud.
         extrinsics: file for `read_extrinsics`; None: the camera frame is the robot's base frame.
-        scale: length of a unit in the file [m]; None: 1 m, for a 16-bit image 1 mm.
+        scale: length of a unit in the file [m]; None: 1 m, for a 16-bit image 1 mm. Extrinsics that
+            cannot be metres are taken in this unit, too.
     """
     path = Path(path)
     if intrinsics is None and path.suffix.lower() == ".png":
         raise InvalidInputError(
             f"depth image {path} needs the intrinsics of its camera; give them (json or yaml)"
         )
-    T = np.eye(4) if extrinsics is None else read_extrinsics(extrinsics)
+    T = np.eye(4) if extrinsics is None else read_extrinsics(extrinsics, scale)
     if intrinsics is None:
         return replace(read_cloud(path, 1.0 if scale is None else scale), T_world_camera=T)
     lens = read_intrinsics(intrinsics)
@@ -182,17 +184,34 @@ def _intrinsics(data: Any) -> Intrinsics:
     )
 
 
-def read_extrinsics(path: Path | str) -> FloatArray:
+def read_extrinsics(
+    path: Path | str, scale: float | None = None, farthest: float = 100.0
+) -> FloatArray:
     """Read T_world_camera (4, 4), alone or as field "T_world_camera"; errors name the file.
 
     Forms: a 4x4 matrix (a rounded rotation is made orthonormal), {xyz, quaternion}, {xyz, rpy}, or
     ROS's {translation, rotation}.
+
+    Args:
+        path: JSON or YAML file.
+        scale: length of a unit of the camera's points [m]; a position beyond `farthest` is taken in
+            this unit, with a warning.
+        farthest: largest coordinate of the position [m].
     """
     data = _read_settings(path, "extrinsics")
     if isinstance(data, Mapping) and set(data) == {"T_world_camera"}:
         data = data["T_world_camera"]
     with located(f"extrinsics {path}"):
-        return from_plain(Pose, _rigid(data), "T_world_camera")
+        T = from_plain(Pose, _rigid(data), "T_world_camera")
+        away = float(np.abs(T[:3, 3]).max())
+        if scale is not None and away > farthest >= scale * away:
+            T = rigid(T[:3, :3], scale * T[:3, 3])
+            log.warning(
+                f"extrinsics {path}: a camera {away:.4g} m away cannot be meant; its position is "
+                f"taken in the unit of the scale, {scale:g} m: {scale * away:.3g} m away"
+            )
+        refuse_far_poses({"its camera": T}, farthest)
+    return T
 
 
 def _rigid(data: Any) -> Any:

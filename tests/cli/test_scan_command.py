@@ -1,5 +1,6 @@
 """`cvqmpt scan` and `cvqmpt plan --cloud`: a file gives a cloud, scene, path, or one error."""
 
+import json
 import re
 from dataclasses import replace
 
@@ -89,3 +90,29 @@ def test_a_network_may_be_shown_the_scan_beside_a_suite(scan_folder, camera, cap
     words = ["--cloud", scan_folder / "depth.png", *camera, "--iterations", 1]
     run_here(["plan", "place-task", *words], code=2)
     assert "roadmap uses no cloud" in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_a_scan_out_of_reach_gives_one_warning_in_each_command(
+    scan_folder, tmp_path, cvqmpt, caplog, capsys
+):
+    """By extrinsics of another frame; it was planned among without a word."""
+    (tmp_path / "far.json").write_text(json.dumps({"xyz": [12.0, 0.0, 1.5], "rpy": [3.14, 0, 0]}))
+    (tmp_path / "near.json").write_text(json.dumps({"xyz": [0.5, 0.0, 1.5], "rpy": [3.14, 0, 0]}))
+    cloud = scan_folder / "cloud.ply"
+    motion = [f"--start={START}", f"--goal={GOAL}", "--optimize", 0]
+    far = ["--extrinsics", tmp_path / "far.json"]
+    told = "no obstacle is in the arm's reach of"
+    for words in (
+        ["plan", "--cloud", cloud, *far, *motion],
+        ["scan", cloud, *far, "--out", tmp_path / "scene.json"],
+        ["plan", "--scene", tmp_path / "scene.json", *motion],
+    ):
+        caplog.clear()
+        cvqmpt("", *words)
+        assert caplog.text.count(told) == 1, words
+    caplog.clear()
+    capsys.readouterr()
+    two = [cloud, cloud, "--extrinsics", tmp_path / "near.json", *far]
+    run_here(["scan", *two, "--out", tmp_path / "two.json"])
+    assert capsys.readouterr().err.count("none of its points is in the arm's reach") == 1
+    assert told not in caplog.text

@@ -65,6 +65,22 @@ def test_extrinsics_are_read_in_every_form_of_a_pose(name, tmp_path):
     np.testing.assert_allclose(found[:3, :3] @ found[:3, :3].T, np.eye(3), atol=1e-9)
 
 
+def test_a_camera_beyond_100_m_is_refused_or_is_in_the_unit_of_the_points(tmp_path, caplog):
+    """Camera and points of some cameras are in millimetres; only the points were scaled."""
+    path = tmp_path / "hand_eye.yaml"
+    path.write_text("xyz: [450, 0, 1500]\nrpy: [-2.0, 0.1, 0.3]\n")
+    refused("its camera is 1500 m away, more than 100: not in metres", read_extrinsics, path)
+    assert not caplog.text
+    found = read_extrinsics(path, 0.001)
+    np.testing.assert_allclose(found[:3, 3], (0.45, 0.0, 1.5))
+    np.testing.assert_allclose(found[:3, :3], T[:3, :3], atol=1e-9)
+    assert caplog.text.count("taken in the unit of the scale, 0.001 m: 1.5 m away") == 1
+    path.write_text("xyz: [0.45, 0, 1.5]\n")
+    np.testing.assert_allclose(read_extrinsics(path, 0.001)[:3, 3], (0.45, 0.0, 1.5))
+    path.write_text("xyz: [450000, 0, 1500]\n")
+    refused("more than 100", read_extrinsics, path, 0.001)
+
+
 @pytest.mark.parametrize("row", table("wrong_cameras"), ids=lambda row: row["pattern"])
 def test_bad_files_are_refused_by_field_in_one_line(row, tmp_path):
     read = {"intrinsics": read_intrinsics, "extrinsics": read_extrinsics}[row["kind"]]
