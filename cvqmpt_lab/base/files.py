@@ -207,7 +207,8 @@ def csv_table(lines: Iterable[Iterable[object]]) -> str:
 def yaml_value(text: str) -> Any:
     """Return the value of a YAML text; refuse tags, aliases and repeated keys.
 
-    Nested aliases could need unlimited memory. Malformed text raises yaml's own errors.
+    Nested aliases could need unlimited memory. Malformed text raises yaml's own errors. Marks of
+    the end, as `ros2 topic echo` prints them, are ignored.
     """
     import yaml  # imported here: most runs read no such file
 
@@ -227,7 +228,15 @@ def yaml_value(text: str) -> Any:
     # YAML 1.1 reads 1e-3 as text
     number = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
     Loader.add_implicit_resolver("tag:yaml.org,2002:float", number, list("-+.0123456789"))
-    return yaml.load(text, Loader)
+    text = re.sub(r"(?m)(^(---|\.\.\.)[ \t]*\r?\n?)+\Z", "", text)
+    try:
+        return yaml.load(text, Loader)
+    except yaml.composer.ComposerError as error:
+        if "single document" not in str(error):
+            raise
+        raise InvalidInputError(
+            "it has more than a single document; keep one, and remove the others with their '---'"
+        ) from error
 
 
 def differences(before: object, now: object, name: str = "") -> list[str]:

@@ -10,6 +10,7 @@ import re
 import warnings
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -36,22 +37,25 @@ class Cloud:
         return self.points @ self.T_world_camera[:3, :3].T + self.T_world_camera[:3, 3]
 
 
-def read_cloud(path: Path | str, scale: float = 1.0) -> Cloud:
+def read_cloud(path: Path | str, scale: float = 1.0, posed: bool = False) -> Cloud:
     """Read the points of a file in a format of `CLOUD_READERS`, which the suffix names.
 
     Args:
         path: path of the file.
         scale: length of one unit of the file [m].
+        posed: whether the caller has the pose of the file's frame, so that a pose in the file does
+            not matter.
 
     Returns:
         The finite points, and the number of others.
 
     Raises:
-        InvalidInputError: the file cannot be read, contradicts itself, has no finite point, or is
-            evidently not in metres.
+        InvalidInputError: the file cannot be read, contradicts itself, has no finite point, has a
+            pose of its own, or is evidently not in metres.
     """
+    readers = {**CLOUD_READERS, ".pcd": partial(_read_pcd, posed=posed)}
     with np.errstate(over="ignore"):
-        points = scale * read_by_suffix(CLOUD_READERS, path, "cloud").astype(np.float64)
+        points = scale * read_by_suffix(readers, path, "cloud").astype(np.float64)
     # axis by axis: 5 times as fast as by rows
     finite = np.logical_and.reduce([np.isfinite(axis) for axis in points.T])
     if not finite.any():
@@ -198,19 +202,45 @@ def _read_npy(data: bytes) -> np.ndarray:
 def _read_lines(data: bytes) -> np.ndarray:
     """Return points (m, 3): the first three numbers of each line.
 
-    The first line decides whether blanks, commas or semicolons separate the numbers.
+    The first line decides whether blanks, commas or semicolons separate the numbers. It may have
+    names of columns, of which x, y and z are read, or the number of points alone.
     """
-    text = data.decode("utf-8")
+    text = data.decode("utf-8-sig")  # some programs begin a text with a byte order mark
     first = re.search(r"^\s*[^#/\s][^#/\n]*", text, re.MULTILINE)
     between = next((mark for mark in ";," if first is not None and mark in first[0]), None)
+    words = [word.strip(" \t\r\n\"'") for word in first[0].split(between)] if first else []
+    columns: Sequence[int] = range(3)
+    stated = None
+    if first is not None and words and not any(map(_is_number, words)):
+        columns, text = _axes_among([word.lower() for word in words]), text[first.end() :]
+    elif first is not None and len(words) == 1 and words[0].isdecimal():
+        stated, text = int(words[0]), text[first.end() :]
     try:
-        return _numbers(text, range(3), between)
+        points = _numbers(text, columns, between)
     except ValueError as error:
         raise InvalidInputError(f"{error} write decimal points, x, y, z in each line") from error
+    if stated not in (None, len(points)):
+        raise InvalidInputError(
+            f"its first line says {stated} points, the file holds {len(points)}; remove that line"
+        )
+    return points
 
 
-def _read_pcd(data: bytes) -> np.ndarray:
-    """Return points (m, 3) of a PCD file: ASCII, binary, or compressed by LZF."""
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        # a decimal comma is a fault of a number, not a name
+        return not word or word[0] in "+-.0123456789"
+    return True
+
+
+def _read_pcd(data: bytes, posed: bool = False) -> np.ndarray:
+    """Return points (m, 3) of a PCD file: ASCII, binary, or compressed by LZF.
+
+    Programs of PCL disagree on whether the points are in the frame of the sensor whose pose is
+    VIEWPOINT, so only a caller that has a pose (`posed`) reads a file with one.
+    """
     top = re.match(rb"(?s).{0,99999}?^DATA[^\n]*\n", data, re.MULTILINE)
     if top is None:
         raise InvalidInputError("its header has no line DATA: not a PCD file, or cut short")
@@ -219,6 +249,8 @@ def _read_pcd(data: bytes) -> np.ndarray:
     missing = [key for key in ("FIELDS", "SIZE", "TYPE", "POINTS", "DATA") if not header.get(key)]
     if missing:
         raise InvalidInputError(f"its header has no {missing[0]}")
+    if header.get("VIEWPOINT") and not posed:
+        _refuse_viewpoint(header["VIEWPOINT"])
     names = header["FIELDS"]
     count = int(header["POINTS"][0])
     body = data[top.end() :]
@@ -251,6 +283,18 @@ def _read_pcd(data: bytes) -> np.ndarray:
     if len(points) != count:
         raise InvalidInputError(f"its header says {count} points, the file holds {len(points)}")
     return points
+
+
+def _refuse_viewpoint(words: Sequence[str]) -> None:
+    """Refuse a pose x, y, z, qw, qx, qy, qz that is not the identity."""
+    x, y, z, qw, qx, qy, qz = map(float, words)
+    if any((x, y, z, qx, qy, qz)):
+        raise InvalidInputError(
+            f"its VIEWPOINT is the pose of a sensor, xyz {[x, y, z]}, quaternion x, y, z, w "
+            f"{[qx, qy, qz, qw]}: give that pose as --extrinsics (or as the object's "
+            "T_world_object), or the identity if its points are in the base frame, and without "
+            "--extrinsics write VIEWPOINT 0 0 0 1 0 0 0"
+        )
 
 
 def _from_rows(body: bytes, row: np.dtype, axes: Sequence[int], count: int) -> np.ndarray:
@@ -293,25 +337,36 @@ def _refuse_more(rest: bytes, count: int, page: int = 4096) -> None:
 
 
 def _read_ply(data: bytes) -> np.ndarray:
-    """Return points (m, 3) of the element "vertex" of a PLY file; it may have no lists."""
+    """Return points (m, 3) of the element "vertex" of a PLY file; its properties are no lists."""
     top = re.match(
         rb"ply\s+format (ascii|binary_little_endian|binary_big_endian) "
         rb"(?s:.{0,999999}?)^end_header\r?\n",
         data,
         re.MULTILINE,
     )
-    elements: list[tuple[str, int, list[str]]] = []  # name, count, properties ("": a list)
+    elements: list[tuple[str, int, list[str]]] = []  # name, count, properties, "list NAME" of lists
     for line in top[0].decode("utf-8").splitlines() if top else ():
         words = line.split()
         if words[:1] == ["element"]:
             elements.append((words[1], int(words[2]), []))
         elif words[:1] == ["property"]:
-            elements[-1][2].append(words[-1] if len(words) == 3 else "")
+            elements[-1][2].append(words[-1] if len(words) == 3 else f"list {words[-1]}")
     counts = [count for name, count, _ in elements if name == "vertex"]
     if top is None or len(counts) != 1:
         raise InvalidInputError("it does not begin with a PLY header of ascii or binary vertices")
+    read = elements[: [name for name, *_ in elements].index("vertex") + 1]
+    for name, _, properties in read:
+        listed = [item for item in properties if item.startswith("list ")]
+        # trimesh takes the length of the first list for all rows; ascii elements are whole lines
+        if listed and (name == "vertex" or top[1] != b"ascii"):
+            raise InvalidInputError(
+                f"property {listed[0][5:]!r} of its element {name!r} is a list, no plain numbers; "
+                "write the vertices first, and without lists"
+            )
     if top[1] == b"ascii":
         return _ascii_vertices(data[top.end() :].decode("ascii"), elements)
+    # trimesh cannot read empty lines in a header
+    data = re.sub(rb"\n\s*\n", b"\n", top[0]) + data[top.end() :]
     import trimesh  # takes 1 s to import
 
     try:

@@ -28,7 +28,7 @@ from cvqmpt_lab.base.values import FloatArray, numbers
 from cvqmpt_lab.robot.source import mesh_path
 from cvqmpt_lab.scene.cloud_files import read_by_suffix
 from cvqmpt_lab.scene.mesh_files import MAX_TRIANGLES, convex_pieces, read_mesh
-from cvqmpt_lab.scene.scene import Scene, SceneObject
+from cvqmpt_lab.scene.scene import Scene, SceneObject, log
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, Shape, Sphere
 
 MOVEIT_SOLIDS: Mapping[str, tuple[int, Callable[..., Shape]]] = {
@@ -46,19 +46,31 @@ def read_moveit_scene(path: Path | str) -> tuple[Scene, str]:
     An object of several convex pieces becomes "ID/0", "ID/1", ... InvalidInputError names the file
     and the object.
     """
-    read_yaml = partial(_scene, yaml_value)
+    read_yaml = partial(_scene, yaml_value, whole_message=True)
     readers = {".scene": partial(_scene, _from_text), ".yaml": read_yaml, ".yml": read_yaml}
     return read_by_suffix(readers, path, "MoveIt scene", Path(path), most=2**24)
 
 
 def scene_of_yaml(text: str, path: Path) -> Scene:
-    """Return the scene of a YAML text; `path` is for errors and relative paths of meshes."""
+    """Return the objects of a YAML text as a scene; settings of the robot's links are ignored.
+
+    `path` is for errors and relative paths of meshes.
+    """
     with located(str(path)):
         return _scene(yaml_value, text.encode(), path)[0]
 
 
-def _scene(parse: Callable, data: bytes, path: Path) -> tuple[Scene, str]:
-    """Return the scene and frame of a PlanningScene, its world or a list of CollisionObjects."""
+def _scene(
+    parse: Callable, data: bytes, path: Path, whole_message: bool = False
+) -> tuple[Scene, str]:
+    """Return the scene and frame of a PlanningScene, its world or a list of CollisionObjects.
+
+    Args:
+        parse: function from a text to the message.
+        data: content of the file.
+        path: of the file.
+        whole_message: refuse settings of the robot's links, too.
+    """
     message = parse(data.decode("utf-8"))
     if isinstance(message, list):
         message = {"world": {"collision_objects": message}}
@@ -83,6 +95,8 @@ def _scene(parse: Callable, data: bytes, path: Path) -> tuple[Scene, str]:
         raise InvalidInputError(
             f"objects are in frames {', '.join(sorted(set(frames)))}; write all in one frame"
         )
+    if whole_message:
+        _refuse_link_settings(whole, [str(item.get("id")) for item in world["collision_objects"]])
     name = str(whole.get("name") or path.stem)
     return Scene(name, tuple(objects)), frames[0] if frames else ""
 
@@ -218,9 +232,51 @@ def _refuse_other_content(whole: Mapping[str, Any], world: Mapping[str, Any]) ->
             )
 
 
+def _refuse_link_settings(whole: Mapping[str, Any], objects: Sequence[str]) -> None:
+    """Refuse paddings and scales of links, and contacts with `objects` that are allowed."""
+    for setting, field, neutral, cure in (
+        ("link_padding", "padding", 0.0, "keep that distance by --clearance"),
+        ("link_scale", "scale", 1.0, "keep a distance by --clearance"),
+    ):
+        for item in _listed(whole.get(setting), setting):
+            value = _field(item, field)
+            if value != neutral:
+                raise InvalidInputError(
+                    f"{setting} of {shown(_field(item, 'link_name'))} is {shown(value)}, which is "
+                    f"not read; remove it and {cure}"
+                )
+    allowed = mapping(whole.get("allowed_collision_matrix") or {}, "allowed_collision_matrix")
+    names = _listed(allowed.get("entry_names"), "entry_names")
+    rows = [_field(row, "enabled") or [] for row in _listed(allowed.get("entry_values"), "values")]
+    pairs = [
+        (str(first), str(second))
+        for first, row in zip(names, rows, strict=False)
+        for second, is_allowed in zip(names, row, strict=False)
+        if is_allowed is True
+    ]
+    general = zip(
+        _listed(allowed.get("default_entry_names"), "default_entry_names"),
+        _listed(allowed.get("default_entry_values"), "default_entry_values"),
+        strict=False,
+    )
+    pairs += [(str(name), "everything") for name, is_allowed in general if is_allowed is True]
+    for first, second in pairs:
+        if first in objects or second in objects:
+            raise InvalidInputError(
+                f"allowed_collision_matrix allows contact of {first!r} and {second!r}, which is "
+                "not read; remove that entry (contact with an object is a collision), or the object"
+            )
+    if pairs:
+        log.warning(
+            f"allowed_collision_matrix: {len(pairs)} entries for links are not taken over; the "
+            "robot's SRDF says which links may touch each other (--srdf)"
+        )
+
+
 def _pieces_of(fields: Mapping[str, Any], path: Path) -> Iterator[tuple[Shape, FloatArray]]:
     """Yield the convex shapes of an object with their poses (4, 4)."""
-    if fields.get("operation", 0) not in (0, "add", "ADD"):
+    # ROS 2 prints the byte 0, which means to add the object, as text or binary
+    if fields.get("operation", 0) not in (0, "add", "ADD", "\0", b"\0"):
         raise InvalidInputError(
             f"operation {shown(fields['operation'])}; only objects that are added are read"
         )

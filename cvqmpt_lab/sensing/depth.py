@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from cvqmpt_lab.base.codec import from_plain, to_plain
-from cvqmpt_lab.base.errors import InvalidInputError, located, mapping
+from cvqmpt_lab.base.errors import InvalidInputError, located, mapping, shown, whole_number
 from cvqmpt_lab.base.files import json_value, write_bytes, write_text, yaml_value
 from cvqmpt_lab.base.poses import Placement, Pose, PoseForm, rigid, ros_vector
 from cvqmpt_lab.base.values import Array, FloatArray
@@ -50,7 +50,8 @@ def read_capture(
         )
     T = np.eye(4) if extrinsics is None else read_extrinsics(extrinsics, scale)
     if intrinsics is None:
-        return replace(read_cloud(path, 1.0 if scale is None else scale), T_world_camera=T)
+        cloud = read_cloud(path, 1.0 if scale is None else scale, posed=extrinsics is not None)
+        return replace(cloud, T_world_camera=T)
     lens = read_intrinsics(intrinsics)
     pixels = deprojected(read_depth(path, lens, scale), lens).reshape(-1, 3)
     points = pixels[np.isfinite(pixels[:, 2])]
@@ -135,7 +136,8 @@ def _check_size(shape: tuple[int, ...], lens: Intrinsics) -> None:
     if shape != (lens.height, lens.width):
         raise InvalidInputError(
             f"the image has {shape[1]} x {shape[0]} pixels, the intrinsics are for {lens.width} x "
-            f"{lens.height}; give the intrinsics of this image (fx, fy, cx, cy grow with its size)"
+            f"{lens.height}; give the intrinsics of this image (fx, fy, cx, cy grow with its "
+            "size; roi and binning of a camera_info are applied)"
         )
 
 
@@ -178,10 +180,43 @@ def _intrinsics(data: Any) -> Intrinsics:
         raise InvalidInputError(
             f"{name} is {K.tolist()}; it must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]"
         )
-    size = {side: fields.get(f"image_{side}", fields.get(side)) for side in ("width", "height")}
-    return from_plain(
-        Intrinsics, {**size, "fx": K[0, 0], "fy": K[1, 1], "cx": K[0, 2], "cy": K[1, 2]}
-    )
+    sides = [
+        _side(fields, *names, focal, centre)
+        for *names, focal, centre in (("width", "x", *K[0, [0, 2]]), ("height", "y", *K[1, [1, 2]]))
+    ]
+    (width, fx, cx), (height, fy, cy) = sides
+    named = {"width": width, "height": height, "fx": fx, "fy": fy, "cx": cx, "cy": cy}
+    changed = not np.array_equal([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], K)
+    with located("with its roi and binning" if changed else ""):
+        return from_plain(Intrinsics, named)
+
+
+def _side(
+    fields: Mapping[str, Any], side: str, axis: str, focal: float, centre: float
+) -> tuple[Any, float, float]:
+    """Return size, focal length and principal point of an image along one of its sides [pixels].
+
+    ROS's message has those of the whole sensor; the image is its region of interest, binned.
+
+    Args:
+        fields: of a file of intrinsics.
+        side: "width" or "height".
+        axis: "x" or "y".
+        focal: focal length of the sensor [pixels].
+        centre: principal point of the sensor [pixels].
+    """
+    size = fields.get(f"image_{side}", fields.get(side))
+    region = mapping(fields.get("roi") or {}, "roi")
+    offset = whole_number(f"roi.{axis}_offset", region.get(f"{axis}_offset", 0))
+    part = whole_number(f"roi.{side}", region.get(side, 0))
+    binning = whole_number(f"binning_{axis}", fields.get(f"binning_{axis}", 0)) or 1
+    if offset == 0 and part == 0 and binning == 1:
+        return size, focal, centre
+    whole = whole_number(side, size, least=1)
+    if offset and not part:
+        raise InvalidInputError(f"roi.{axis}_offset is {offset}, but roi.{side} is 0; give both")
+    # pixel i of the binned image has its centre at binning (i + 0.5) - 0.5
+    return (part or whole) // binning, focal / binning, (centre - offset + 0.5) / binning - 0.5
 
 
 def read_extrinsics(
@@ -189,8 +224,8 @@ def read_extrinsics(
 ) -> FloatArray:
     """Read T_world_camera (4, 4), alone or as field "T_world_camera"; errors name the file.
 
-    Forms: a 4x4 matrix (a rounded rotation is made orthonormal), {xyz, quaternion}, {xyz, rpy}, or
-    ROS's {translation, rotation}.
+    Forms: a 4x4 matrix (a rounded rotation is made orthonormal), {xyz, quaternion}, {xyz, rpy},
+    ROS's Transform, TransformStamped, Pose or PoseStamped, or a file of easy_handeye.
 
     Args:
         path: JSON or YAML file.
@@ -217,11 +252,7 @@ def read_extrinsics(
 def _rigid(data: Any) -> Any:
     """Return a pose in one of the forms of `read_extrinsics` as a value that `Pose` reads."""
     if isinstance(data, Mapping):
-        if "translation" not in data:
-            return data
-        turn = ros_vector(data.get("rotation"))
-        named = {"xyz": ros_vector(data["translation"]), "quaternion": turn}
-        return from_plain(Placement, named, "T_world_camera").matrix
+        return _of_message(data)
     T = np.array(PoseForm.matrix.read(data, "T_world_camera"))
     R = T[:3, :3]
     # entries that were written with three decimals
@@ -231,6 +262,35 @@ def _rigid(data: Any) -> Any:
 
         T[:3, :3] = Rotation.from_matrix(R).as_matrix()
     return T
+
+
+def _of_message(data: Mapping[str, Any]) -> Any:
+    """Return a pose in a mapping of one of the forms of `read_extrinsics`."""
+    settings = data.get("parameters")
+    if isinstance(settings, Mapping):
+        kind = settings.get("calibration_type")
+        if settings.get("eye_on_hand") is True or kind == "eye_in_hand":
+            raise InvalidInputError(
+                "it is the pose of a camera in the hand's frame; give the pose in the robot's base "
+                "frame: the hand's pose during the capture times this one"
+            )
+    # stamped messages, and files of easy_handeye and easy_handeye2, hold the pose in a field
+    for name in ("transform", "pose", "transformation"):
+        if isinstance(data.get(name), Mapping):
+            data = data[name]
+    names = set(data)
+    for position, turn in (("translation", "rotation"), ("position", "orientation")):
+        if position in names:
+            data = {"xyz": ros_vector(data[position]), "quaternion": ros_vector(data.get(turn))}
+            return from_plain(Placement, data, "T_world_camera").matrix
+    if names == {"x", "y", "z", "qx", "qy", "qz", "qw"}:
+        data = {"xyz": [data[k] for k in "xyz"], "quaternion": [data[f"q{k}"] for k in "xyzw"]}
+    elif not names & {"xyz", "rpy", "quaternion"}:
+        raise InvalidInputError(
+            f"it has {shown(sorted(map(str, names)))}; give a 4x4 matrix, xyz with quaternion or "
+            "rpy, ROS's translation and rotation, or position and orientation"
+        )
+    return data
 
 
 def _listed(value: Any) -> Any:

@@ -19,6 +19,7 @@ def pcd(points, form="binary", fields="x y z rgb", **changes):
         "COUNT": "1 1 1 1",
         "WIDTH": len(points),
         "HEIGHT": 1,
+        "VIEWPOINT": None,
         "POINTS": len(points),
         "DATA": form,
     } | changes
@@ -66,6 +67,7 @@ def xyz(points, separator=" "):
     return ("# x y z colour\n" + "\n".join(rows)).encode()
 
 
+LINES = xyz(POINTS, ",").splitlines()[1:]
 GOOD = {
     "a.pcd": pcd(POINTS, "ascii"),
     "b.pcd": pcd(POINTS, "binary"),
@@ -91,4 +93,10 @@ GOOD = {
     "a.csv": xyz(POINTS, ","),
     "remark.xyz": b"# x, y, z\n\n" + xyz(POINTS).replace(b"255\n", b"255 # dark, near\n"),
     "b.csv": xyz(POINTS, "; "),
+    "mark.csv": b"\xef\xbb\xbf" + xyz(POINTS, ",").partition(b"\n")[2],
+    "names.csv": b'"X","Y","Z","I"\n' + xyz(POINTS, ",").partition(b"\n")[2],
+    "turned.csv": b"I;z;y;x\n" + b"\n".join(b";".join(line.split(b",")[::-1]) for line in LINES),
+    "count.xyz": b"40\n" + xyz(POINTS),
+    "blank.ply": ply(POINTS).replace(b"comment none\n", b"\n \r\n"),
+    "views.ply": ply(POINTS, tail="element camera 1\nproperty list uchar uchar views\n") + b"\1\1",
 }

@@ -39,6 +39,12 @@ def test_a_scale_converts_a_cloud_to_metres(tmp_path):
 
 FAR = POINTS.copy()
 FAR[5, 2] = -1e300
+# the lengths of the lists add up to forty times the first one: 40 wrong points were once read
+LISTS = ply(POINTS[:0], head="element vertex 40", tail="property list uchar uchar views\n")
+LISTS += b"".join(
+    b"s" + point.astype("<f4").tobytes() + bytes([length, *[9] * length])
+    for point, length in zip(POINTS, [2, 3, 1] * 13 + [2], strict=True)
+)
 MANY, PACKED = 10**9, "binary_compressed"
 BAD = {
     "many.pcd": (pcd(POINTS[:0], WIDTH=MANY, POINTS=MANY), "1000000000 points, the file holds 0"),
@@ -71,11 +77,17 @@ BAD = {
     "fewer_text.ply": (ply(POINTS, "ascii", "element vertex 3"), "3 vertex, .* holds 40 lines"),
     "faces.ply": (ply(POINTS, "ascii", tail="element face 2\n"), "2 face, .* holds 40 lines"),
     "twice.ply": (ply(POINTS, "ascii", tail="element vertex 2\n"), "binary vertices"),
-    "list_text.ply": (ply(POINTS, "ascii", kind="list uchar float"), "single column 'x'"),
+    "list_text.ply": (
+        ply(POINTS, "ascii", kind="list uchar float"),
+        "'x' of its element 'vertex' is a l",
+    ),
     "commas.ply": (ply(POINTS, "ascii").replace(b"0.", b"0,"), "could not convert"),
     "wide.ply": (ply(POINTS, "ascii").replace(b"\n7 ", b"\n7 8 "), "5 numbers a line"),
     "cut.ply": (ply(POINTS)[:-20], "cannot be read .*cut short"),
     "list.ply": (ply(POINTS, kind="list uchar float"), "no plain numbers"),
+    "views.ply": (LISTS, "property 'views' of its element 'vertex' is a list"),
+    "names.xyz": (b"a b c\n1 2 3\n", "no single column 'x'; columns: a, b, c"),
+    "count.xyz": (b"3\n1 2 3\n4 5 6\n", "says 3 points, the file holds 2; remove that line"),
     "property.ply": (ply(POINTS, kind="quaternion"), "'quaternion'.*no plain numbers"),
     "face.ply": (ply(POINTS, head="element face 3"), "binary vertices"),
     "format.ply": (ply(POINTS).replace(b"little", b"middle"), "header of ascii or binary"),
@@ -105,6 +117,20 @@ def test_bad_files_are_refused_by_name_in_one_line(name, tmp_path):
     (tmp_path / name).write_bytes(data)
     said = refused(message, read_cloud, tmp_path / name)
     assert name in said and len(said) < 400
+
+
+def test_a_pose_of_the_sensor_in_a_pcd_file_is_read_only_with_extrinsics(tmp_path):
+    """The points were read as if the sensor stood at the origin."""
+    for number, form in enumerate(("ascii", "binary", "binary_compressed")):
+        path = tmp_path / f"{number}.pcd"
+        path.write_bytes(pcd(POINTS, form, VIEWPOINT="0.4 0 1.5 0.6 0 0.8 0"))
+        told = r"a sensor, xyz \[0.4, 0.0, 1.5\], quaternion .* \[0.0, 0.8, 0.0, 0.6\]: .*--extr"
+        refused(told, read_cloud, path)
+        np.testing.assert_allclose(read_cloud(path, posed=True).points, POINTS)
+        path.write_bytes(pcd(POINTS, form, VIEWPOINT="0 0 0 1 0 0 0"))
+        np.testing.assert_allclose(read_cloud(path).points, POINTS)
+    path.write_bytes(pcd(POINTS, VIEWPOINT="0 0 1 1 0 0 zero"))
+    refused("could not convert string", read_cloud, path)
 
 
 def test_a_file_that_is_not_a_cloud_is_refused(tmp_path):

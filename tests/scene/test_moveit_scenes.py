@@ -55,6 +55,50 @@ def test_yaml_gives_the_same_scene_with_heights_before_radii(tmp_path):
         assert found.T_world_object == pytest.approx(wanted.T_world_object, abs=1e-7)
 
 
+def test_messages_are_read_as_ros_2_prints_them(tmp_path):
+    """Ended by ---; the operation to add an object is a byte."""
+    plain = read(tmp_path, [CAN], ".yaml")[0]
+    for operation in ('"\\0"', '!!binary "AA=="', "0"):
+        text = json.dumps([CAN])[:-2] + f', "operation": {operation}}}]'
+        (tmp_path / "a.yaml").write_text(text + "\n---\n")
+        assert read_moveit_scene(tmp_path / "a.yaml")[0] == plain
+    (tmp_path / "a.yaml").write_text(json.dumps([CAN | {"operation": "\1"}]))
+    refused("operation '.x01'; only", read_moveit_scene, tmp_path / "a.yaml")
+
+
+def test_settings_of_links_are_refused_by_name(tmp_path, caplog):
+    """They were dropped without a word; a path then was nearer than the padding."""
+    world = {"collision_objects": [CAN]}
+    links = {"entry_names": ["hand", "finger"], "entry_values": [{"enabled": [False, True]}] * 2}
+    on_can = {"entry_names": ["can", "hand"], "entry_values": [{"enabled": [False, True]}] * 2}
+    for data, message in (
+        (
+            {"link_padding": [{"link_name": "hand", "padding": 0.02}]},
+            "link_padding of 'hand' is 0.02",
+        ),
+        ({"link_scale": [{"link_name": "hand", "scale": 1.1}]}, "link_scale of 'hand' is 1.1"),
+        ({"allowed_collision_matrix": on_can}, "allows contact of 'can' and 'hand'"),
+        (
+            {
+                "allowed_collision_matrix": {
+                    "default_entry_names": ["can"],
+                    "default_entry_values": [True],
+                }
+            },
+            "allows contact of 'can' and 'everything'",
+        ),
+    ):
+        refused(f"{message}, which is not read", read, tmp_path, {"world": world, **data}, ".yaml")
+    neutral = {
+        "link_padding": [{"link_name": "hand", "padding": 0.0}],
+        "link_scale": [{"link_name": "hand", "scale": 1.0}],
+        "allowed_collision_matrix": links,
+    }
+    assert not caplog.text
+    assert read(tmp_path, {"world": world, **neutral}, ".yaml")[0].names == ("can",)
+    assert caplog.text.count("2 entries for links are not taken over; the robot's SRDF") == 1
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [

@@ -41,6 +41,29 @@ def test_intrinsics_are_read_in_the_formats_of_calibration_tools(name, tmp_path)
     assert vars(read_intrinsics(tmp_path / name)).items() >= PLAIN.items()
 
 
+def test_region_of_interest_and_binning_of_a_camera_info_are_applied(tmp_path):
+    """Twice the pixels, and 100 by 50 pixels more around the image of `PLAIN`."""
+    sensor = [1050.0, 0.0, 739.5, 0.0, 1052.0, 529.5, 0.0, 0.0, 1.0]
+    region = {"x_offset": 100, "y_offset": 50, "width": 1280, "height": 960, "do_rectify": False}
+    whole = {"width": 1480, "height": 1060, "k": sensor, "roi": region}
+    path = tmp_path / "info.yaml"
+    path.write_text(json.dumps({**whole, "binning_x": 2, "binning_y": 2}) + "\n---\n")
+    assert vars(read_intrinsics(path)).items() >= PLAIN.items()
+    path.write_text(json.dumps(whole))
+    found = read_intrinsics(path)
+    assert (found.width, found.height, found.fx, found.cx, found.cy) == (
+        1280,
+        960,
+        1050,
+        639.5,
+        479.5,
+    )
+    path.write_text(json.dumps({**whole, "roi": {**region, "x_offset": 900, "width": 64}}))
+    refused(r"with its roi and binning: .*principal point \(-160.5", read_intrinsics, path)
+    path.write_text(json.dumps({**whole, "roi": {"x_offset": 100}}))
+    refused("roi.x_offset is 100, but roi.width is 0; give both", read_intrinsics, path)
+
+
 TURN = Rotation.from_euler("xyz", (-2.0, 0.1, 0.3))
 T = np.eye(4)
 T[:3, :3], T[:3, 3] = TURN.as_matrix(), (0.1, -0.5, 0.9)
@@ -53,6 +76,31 @@ EXTRINSICS = {
     "quaternion.json": json.dumps({"xyz": [0.1, -0.5, 0.9], "quaternion": XYZW}),
     "angles.yaml": "xyz: [0.1, -0.5, 9e-1]\nrpy: [-2.0, 0.1, 0.3]\n",
     "ros.yaml": f"translation: {{x: 0.1, y: -0.5, z: 0.9}}\nrotation: {ROTATION}\n",
+    "echo.yaml": f"translation: {{x: 0.1, y: -0.5, z: 0.9}}\nrotation: {ROTATION}\n---\n",
+    "pose.yaml": json.dumps(
+        {"position": dict(zip("xyz", T[:3, 3], strict=True)), "orientation": ROTATION}
+    ),
+    "stamped.yaml": json.dumps(
+        {
+            "header": {"frame_id": "base"},
+            "child_frame_id": "camera",
+            "transform": {"translation": {"x": 0.1, "y": -0.5, "z": 0.9}, "rotation": ROTATION},
+        }
+    ),
+    "pose_stamped.yaml": json.dumps(
+        {"header": {}, "pose": {"position": [0.1, -0.5, 0.9], "orientation": ROTATION}}
+    ),
+    "hand_eye.yaml": json.dumps(
+        {
+            "parameters": {"eye_on_hand": False},
+            "transformation": {
+                "x": 0.1,
+                "y": -0.5,
+                "z": 0.9,
+                **{f"q{k}": ROTATION[k] for k in "xyzw"},
+            },
+        }
+    ),
     "lists.json": json.dumps({"translation": [0.1, -0.5, 0.9], "rotation": XYZW}),
 }
 
