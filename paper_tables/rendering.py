@@ -9,6 +9,7 @@ from cvqmpt_lab.benchmarks.declarations import SUITES
 from cvqmpt_lab.paper_tables.layouts import place_table
 from cvqmpt_lab.paper_tables.statements import PublishedValue, read_published
 from cvqmpt_lab.paper_tables.table_engine import SuiteTable, rows_of_one_suite
+from cvqmpt_lab.paper_tables.writers import markdown_text
 from cvqmpt_lab.results.provenance import ProvenanceFile, digests_in, sessions
 from cvqmpt_lab.results.row import ResultRow
 from cvqmpt_lab.results.store import directory_rows
@@ -55,7 +56,7 @@ def rendered_tables(directory: Path) -> Rendered:
     made, head = table_of(rows), _head(record, len(rows))
     title = title_of(made.suite)
     texts = {
-        "table.md": f"# {title}\n\n{head}\n\n{made.markdown}",
+        "table.md": f"# {markdown_text(title)}\n\n{markdown_text(head)}\n\n{made.markdown}",
         "table.tex": f"% {head}\n{made.latex}",
         "table.csv": made.csv,
     }

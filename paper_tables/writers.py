@@ -1,6 +1,7 @@
 """Text of tables: numbers, intervals, aligned text, Markdown and LaTeX."""
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 
 from cvqmpt_lab.results.statistics import CONFIDENCE, Interval
@@ -73,11 +74,19 @@ def text_lines(lines: Lines) -> list[str]:
     return ["  ".join(line).rstrip() for line in padded(lines)]
 
 
+def markdown_text(text: str) -> str:
+    """Text of one line for Markdown; a name that it quotes becomes neither html nor an image."""
+    without_html = re.sub(r"<(?=[A-Za-z/!?])", "&lt;", text)
+    return without_html.replace("![", "!\\[").replace("\n", " ")
+
+
 def markdown_table(lines: Lines) -> str:
     """A Markdown table whose columns line up in a terminal; "None." when there is only a header."""
     if len(lines) < 2:
         return "None.\n"
-    escaped = [[cell.replace("|", "\\|").ljust(3) for cell in line] for line in lines]
+    escaped = [
+        [markdown_text(cell).replace("|", "\\|").ljust(3) for cell in line] for line in lines
+    ]
     header, *rest = padded(escaped)
     rule = ["-" * len(cell) for cell in header]
     return "\n".join(f"| {' | '.join(line)} |" for line in (header, rule, *rest)) + "\n"
@@ -86,7 +95,9 @@ def markdown_table(lines: Lines) -> str:
 def markdown(sections: Sections) -> str:
     """Sections as Markdown; empty ones are left out."""
     return "\n".join(
-        f"## {title}\n\n{_section(part)}" if title else "".join(f"{text}\n" for text in part)
+        f"## {markdown_text(title)}\n\n{_section(part)}"
+        if title
+        else "".join(f"{markdown_text(str(text))}\n" for text in part)
         for title, part in sections.items()
         if part
     )
@@ -97,7 +108,7 @@ def _section(part: Lines | Sequence[str]) -> str:
     return (
         "\n".join(map(markdown_table, narrow(lines)))
         if lines
-        else "".join(f"- {text}\n" for text in part)
+        else "".join(f"- {markdown_text(str(text))}\n" for text in part)
     )
 
 

@@ -4,6 +4,7 @@ The only module that imports viser, which serves the page. All tabs of the page 
 """
 
 import logging
+import re
 import socket
 import threading
 import time
@@ -33,7 +34,7 @@ from cvqmpt_lab.constraints.no_goal import why_none
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, upright
 from cvqmpt_lab.planning.margins import Margin, solve_with_margin
 from cvqmpt_lab.planning.pipeline import PROBLEM_HINT
-from cvqmpt_lab.planning.planners import PLANNERS, default_planner, planner_named, require_fit
+from cvqmpt_lab.planning.planners import PLANNERS, default_planner, planner_named
 from cvqmpt_lab.planning.solution import Solution
 from cvqmpt_lab.planning.warm_up import warm_up
 from cvqmpt_lab.problem import PlanningProblem
@@ -49,6 +50,7 @@ from cvqmpt_lab.show.drawn_hands import sampled_hands
 from cvqmpt_lab.show.meshes import Colour
 from cvqmpt_lab.show.picture import png_of
 from cvqmpt_lab.show.raster import clear_viewpoint
+from cvqmpt_lab.show.studio_guard import Guard, is_choice, is_number, is_switch
 from cvqmpt_lab.show.web_page import path_html
 from cvqmpt_lab.trajectory.trajectory import as_ros_json
 
@@ -130,8 +132,8 @@ class Studio:
             return self.submit(moved={**self.request.moved, **moved})
 
     def set_planner(self, name: str) -> int:
-        """Change the planner; returns the number of the request."""
-        require_fit(planner_named(name), self.problem)
+        """Change to another one of `planners`; returns the number of the request."""
+        require_choice("planner", name, self.planners)
         return self.submit(planner=name)
 
     def set_constraint(self, name: str) -> int:
@@ -277,16 +279,25 @@ def studio(problem: PlanningProblem, port: int = 8090) -> "StudioPage":
         raise InvalidInputError(
             f"port {port} is in use or no port; give another one, or 0 for any"
         ) from error
-    server = viser.ViserServer("127.0.0.1", port, f"cvqmpt: {problem.name}", verbose=False)
-    return StudioPage(Studio(problem), server)
+    guard = Guard()
+    with guard.installed():
+        server = viser.ViserServer("127.0.0.1", port, f"cvqmpt: {problem.name}", verbose=False)
+    if not guard.started:
+        server.stop()
+        raise InvalidInputError(
+            f"viser {viser.__version__} starts its server in an unknown way, so its page cannot be "
+            "guarded: install the version in constraints.txt"
+        )
+    return StudioPage(Studio(problem), server, guard)
 
 
 class StudioPage:
     """Page of a `Studio`, which is its attribute `live`; see `studio`."""
 
-    def __init__(self, live: Studio, server: Any) -> None:
+    def __init__(self, live: Studio, server: Any, guard: Guard) -> None:
         self.live, self.server = live, server
-        self.address = f"http://127.0.0.1:{server.get_port()}"
+        # who knows the address may read and change everything
+        self.address = f"http://127.0.0.1:{server.get_port()}/{guard.token}"
         self._nodes: dict[str, tuple[Any, Any]] = {}  # mesh and node of the scene by name
         self._moving: list[tuple[Any, np.ndarray]] = []  # nodes, and their poses along the path
         self._points: list[Any] = []  # nodes of `sampled_hands`
@@ -294,26 +305,39 @@ class StudioPage:
         self._layers: dict[str, Any] = {}  # checkboxes by name of a layer
         self._gizmos: dict[str, Any] = {}  # by "start", "goal" and "obstacle"
         gui, problem = server.gui, live.problem
-        # no share button, because it would send the page through a public server
+        # no share button and no answer to its request, which would open a public address
+        server.request_share_url = lambda verbose=True: None
         gui.configure_theme(show_logo=False, show_share_button=False)
         self._text = gui.add_markdown("planning ...")
-        planner = gui.add_dropdown("planner", live.planners)
+
+        def choice(label: str, names: tuple[str, ...]) -> Any:
+            element = gui.add_dropdown(label, names)
+            guard.values[element._impl.uuid] = partial(is_choice, choices=names)
+            return element
+
+        def switch(element: Any) -> Any:
+            guard.values[element._impl.uuid] = is_switch
+            return element
+
+        planner = choice("planner", live.planners)
         planner.on_update(lambda event: live.set_planner(event.target.value))
-        constraint = gui.add_dropdown("constraint", tuple(live.constraints))
+        constraint = choice("constraint", tuple(live.constraints))
         constraint.on_update(lambda event: live.set_constraint(event.target.value))
-        self._obstacle = gui.add_dropdown("drag an obstacle", ("none", *problem.scene.names))
+        self._obstacle = choice("drag an obstacle", ("none", *problem.scene.names))
         self._obstacle.on_update(self._choose_obstacle)
         self._slider = gui.add_slider("along the path", 0.0, 1.0, 0.01, 0.0)
+        guard.values[self._slider._impl.uuid] = partial(is_number, least=0.0, most=1.0)
         self._slider.on_update(lambda event: self._pose_robot())
-        gui.add_button("play").on_click(self._play)
+        switch(gui.add_button("play")).on_click(self._play)
         for name in ("start", "goals", "path", "constraint", "search", "cloud", "Gaussians"):
             slow = name in ("search", "cloud", "Gaussians")
-            self._layers[name] = gui.add_checkbox(f"show {name}", not slow)
+            self._layers[name] = switch(gui.add_checkbox(f"show {name}", not slow))
             self._layers[name].on_update(lambda event: live.submit())  # redraws the page
         for kind in ("problem", "page", "picture", "trajectory"):
-            gui.add_button(f"save {kind}").on_click(partial(self._save, kind))
+            switch(gui.add_button(f"save {kind}")).on_click(partial(self._save, kind))
         for name in ("start", "goal", "obstacle"):
             gizmo = server.scene.add_transform_controls(f"/drag {name}", 0.2 * problem.robot.reach)
+            guard.gizmos.add(gizmo.name)
             gizmo.visible = name != "obstacle"
             gizmo.on_update(partial(self._drag, name))
             self._gizmos[name] = gizmo
@@ -431,16 +455,21 @@ class StudioPage:
 
 
 def text_of(response: Response) -> str:
-    """Text of a response on the page, as markdown."""
+    """Text of a response on the page, as markdown; names in it cannot become html or links."""
     lines = [f"**{response.verdict}**, {1e3 * response.seconds:.0f} ms"]
     if response.message:
-        lines += [response.message, "The path is that of an earlier request:"]
+        lines += [_plain(response.message), "The path is that of an earlier request:"]
     if response.solution is not None:
         for line in response.solution.report(response.planner):
             head = line[:12].strip()
             if head in ("planner", "constraint", "length", "certificate"):
-                lines.append(f"*{head}* {line[12:]}")
+                lines.append(f"*{head}* {_plain(line[12:])}")
     return "\n\n".join(lines)
+
+
+def _plain(text: str) -> str:
+    """Text as markdown that shows it as it is: what could be markdown or html is an entity."""
+    return re.sub(r"[^\w\s.,:;()/%+=°-]|_", lambda found: f"&#{ord(found[0])};", text)
 
 
 def _place(node: Any, T: np.ndarray) -> None:

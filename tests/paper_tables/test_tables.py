@@ -60,6 +60,15 @@ def test_directories_without_runs_say_what_to_do(tmp_path):
     assert "cutoff not recorded · commit unknown" in render_directory(tmp_path).texts["table.md"]
 
 
+def test_names_of_rows_become_neither_html_nor_images_in_markdown(tmp_path):
+    name = "<img src=x>![y](http://evil.example/z.png)"
+    runs = [a_row(f"p{k}", name, suite=f"mine {name}", t_total_s=1.0) for k in range(3)]
+    store(tmp_path, runs, git_commit="<b>")
+    text = render_directory(tmp_path).texts["table.md"]
+    assert "evil.example" in text and "&lt;img" in text
+    assert "<img" not in text and "<b>" not in text and "![" not in text
+
+
 TABLES = sorted(RESULTS.glob("*/table.tex"))
 COMPILER = shutil.which("pdflatex")
 DOCUMENT = (

@@ -1,8 +1,11 @@
 """A studio plans again when start, goal or obstacles move, and its page shows the result."""
 
+import html
 import json
+import math
 import signal
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -83,7 +86,8 @@ def test_an_obstacle_in_the_start_is_named_and_the_path_stays(fresh):
     response = fresh.wait(fresh.move_obstacle(item.name, at))
     assert response.verdict == "no path" and response.path is before.path
     assert "start is in collision: " in response.message and item.name in response.message
-    assert "earlier request" in text_of(response) and response.message in text_of(response)
+    text = html.unescape(text_of(response))
+    assert "earlier request" in text and response.message in text
     response = fresh.wait(fresh.move_obstacle(item.name, item.T_world_object))
     assert response.verdict == "certified" and "earlier request" not in text_of(response)
 
@@ -154,15 +158,16 @@ def page(problem):
     made.stop()
 
 
-def tab(page):
-    """Connect to the page as a tab of a browser does."""
+def tab(page, path=None, origin=None, **headers):
+    """Connect to the page as a tab of a browser does; path, Origin and Host may be another's."""
     import viser
     from websockets.sync.client import connect
-    from websockets.typing import Subprotocol
 
-    version = Subprotocol(f"viser-v{viser.__version__}")
-    address = page.address.replace("http", "ws")
-    return connect(address, subprotocols=[version], max_size=None, compression=None)
+    version = f"viser-v{viser.__version__}"
+    begin, _, own = page.address.rpartition("/")
+    address = f"{begin.replace('http', 'ws')}/{own if path is None else path}"
+    settings = {"subprotocols": [version], "max_size": None, "compression": None}
+    return connect(address, origin=origin or begin, additional_headers=headers, **settings)
 
 
 def received(connection, seconds=1.0):
@@ -197,6 +202,84 @@ def test_two_tabs_drag_one_goal_and_may_go(page):
     first.close()
     second.close()
     assert page.live.wait(page.live.submit()).verdict == "certified"
+
+
+def test_a_foreign_page_or_user_gets_nothing(page):
+    from http.client import HTTPConnection
+
+    from websockets.exceptions import InvalidStatus
+
+    port = page.server.get_port()
+    foreign = (
+        {"origin": "https://evil.example"},
+        {"origin": f"http://127.0.0.1:{port + 1}"},  # another server of this computer
+        {"origin": "null"},  # a frame without rights
+        {"path": ""},
+        {"path": "x" * 32},
+    )
+    for settings in foreign:
+        with pytest.raises(InvalidStatus, match="403"):
+            tab(page, **settings)
+    token = page.address.rpartition("/")[2]
+    requests = (("", "127.0.0.1"), ("index.html", "127.0.0.1"), (token, "evil.example"))
+    for path, host in requests:
+        connection = HTTPConnection("127.0.0.1", port)
+        connection.request("GET", f"/{path}", headers={"Host": f"{host}:{port}"})
+        answer = connection.getresponse()
+        assert answer.status == 403 and answer.read() == b""
+    connection = HTTPConnection("127.0.0.1", port)
+    connection.request("GET", f"/{token}")
+    assert connection.getresponse().status == 200
+
+
+def test_no_value_of_a_tab_is_taken_unchecked(page, monkeypatch):
+    import msgspec
+    from websockets.exceptions import ConnectionClosed
+
+    monkeypatch.setattr(page.server, "request_share_url", lambda *_: pytest.fail("a public tunnel"))
+    elements = page.server.gui._gui_input_handle_from_uuid.values()
+    planner = next(one for one in elements if getattr(one, "options", ()) == page.live.planners)
+    before = page.live.request, page._slider.value, planner.value
+    client = tab(page)
+    gizmo = {"name": page._gizmos["goal"].name, "owner": "", "position": [0.4, 0.0, math.nan]}
+    slider, chosen = page._slider._impl.uuid, planner._impl.uuid
+    for message in (
+        {"type": "GuiUpdateMessage", "uuid": chosen, "updates": {"value": "evil.py:planner"}},
+        {"type": "GuiUpdateMessage", "uuid": chosen, "updates": {"value": ["birrt"]}},
+        {"type": "GuiUpdateMessage", "uuid": chosen, "updates": {"options": ["x" * 60_000]}},
+        {"type": "GuiUpdateMessage", "uuid": slider, "updates": {"value": math.nan}},
+        {"type": "GuiUpdateMessage", "uuid": slider, "updates": {"value": 2.0}},
+        {"type": "GuiUpdateMessage", "uuid": slider, "updates": {"value": 0.5, "removed": True}},
+        {"type": "GuiFormDirtyMessage", "uuid": "x" * 60_000},
+        {"type": "ShareUrlRequest"},
+        {"type": "TransformControlsUpdateMessage", "wxyz": [1, 0, 0, 0], **gizmo},
+        {"type": "TransformControlsUpdateMessage", "wxyz": [0] * 4, **gizmo, "position": [0] * 3},
+        {"type": "no such message"},
+        ["no message"],
+    ):
+        client.send(msgspec.msgpack.encode(message))
+    client.send(msgspec.msgpack.encode({"type": "ShareUrlRequest"}))
+    received(client)
+    assert (page.live.request, page._slider.value, planner.value) == before
+    late = tab(page)
+    assert b"x" * 60_000 not in received(late)
+    value = {"type": "GuiUpdateMessage", "uuid": slider, "updates": {"value": 0.5}}
+    client.send(msgspec.msgpack.encode(value))
+    deadline = time.monotonic() + 30.0
+    while page._slider.value != 0.5 and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert page._slider.value == 0.5
+    with pytest.raises(ConnectionClosed, match="too big"):
+        client.send(b"x" * 40_000_000)
+        while True:
+            client.recv(timeout=30.0)
+
+
+def test_names_of_a_file_are_text_on_the_page(fresh):
+    name = "<iframe srcdoc='<script>alert(1)</script>'></iframe> ![x](http://evil.example/_x_.png)"
+    shown = text_of(replace(fresh.response, message=f"the path touches {name}"))
+    assert not set("<>![]'") & set(shown) and "evil.example" in shown
+    assert html.unescape(shown).splitlines()[2] == f"the path touches {name}"
 
 
 def shown(page):
