@@ -10,7 +10,7 @@ import numpy as np
 
 from cvqmpt_lab.base.errors import InvalidInputError, RunStoreError
 from cvqmpt_lab.benchmarks.declarations import SUITES, Suite
-from cvqmpt_lab.benchmarks.item import SensedProblem
+from cvqmpt_lab.benchmarks.item import ExecutedProblem, SensedProblem
 from cvqmpt_lab.benchmarks.suite import folder_suite, suite_named
 from cvqmpt_lab.certificate.certificate import Certificate, certify
 from cvqmpt_lab.paper_tables.claims import Evidence
@@ -51,7 +51,9 @@ def recertify(directory: Path, problems_dir: Path | None = None) -> Iterator[Rec
         else:
             item = suite_named(suite).item(int(name)) if name.isdecimal() else None
         for _, of_run in groupby(of_item, key=run_key):
-            yield from _recertified(item, [row for row in of_run if row.path_sha256], paths)
+            executed = isinstance(item, ExecutedProblem)  # such rows are of executions, not paths
+            judged = (row for row in of_run if row.path_sha256 or (row.certified and not executed))
+            yield from _recertified(item, list(judged), paths)
 
 
 def _folder_of(directory: Path, problems_dir: Path | None) -> Suite | None:
@@ -87,15 +89,14 @@ def _recertified(
     for row, problem, states in zip(rows, problems, kept, strict=False):
         yield _compared(row, problem, states)
     for k, row in enumerate(rows[len(kept) :]):
-        yield Recertified(
-            row, None, "a path before it is not kept" if k else "its path is not kept"
-        )
+        why = "its path is not kept" if row.path_sha256 else "certified in the row, without a path"
+        yield Recertified(row, None, "a path before it is not kept" if k else why)
 
 
 def _compared(row: ResultRow, problem: PlanningProblem, states: np.ndarray) -> Recertified:
     """Return the certificate of a row's path (m, n) [rad or m] and its contradictions."""
     try:
-        certificate = certify(problem, JointPath(states), clearance=False)
+        certificate = certify(problem, JointPath(states))
     except InvalidInputError as error:
         return Recertified(row, None, str(error))
     length, trouble = JointPath(states).length, ""
@@ -105,7 +106,32 @@ def _compared(row: ResultRow, problem: PlanningProblem, states: np.ndarray) -> R
         trouble = f"certified in the row, refused now: {'; '.join(certificate.reasons)}"
     elif not row.certified and certificate.valid:
         trouble = "refused in the row, certified now"
+    else:
+        trouble = _other_number(row, certificate)
     return Recertified(row, certificate, trouble)
+
+
+def _other_number(row: ResultRow, certificate: Certificate, rounding: float = 1e-6) -> str:
+    """Return the first number of a row that is not the certificate's, in words; "" if none is.
+
+    Args:
+        row: the row of a path; empty columns are not compared.
+        certificate: the new certificate.
+        rounding: differences up to this are those of other machines [m or rad].
+    """
+    obstacle, own = certificate.obstacle_clearance, certificate.self_clearance
+    numbers = {
+        "max_violation_rad": certificate.max_violation_rad,
+        "max_violation_m": certificate.max_violation_m,
+        "min_clearance_m": certificate.min_clearance_m,
+        "obstacle_clearance_m": obstacle.distance_m if obstacle else np.inf,
+        "self_clearance_m": own.distance_m if own else np.inf,
+    }
+    for name, now in numbers.items():
+        then = getattr(row, name)
+        if then is not None and not abs(then - now) <= rounding:
+            return f"{name} is {then:.6g} in the row, {now:.6g} now"
+    return ""
 
 
 def first_path(found: Mapping[str, Evidence]) -> dict[str, dict[str, str]]:

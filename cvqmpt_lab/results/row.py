@@ -368,6 +368,14 @@ def parse_rows(path: Path, text: str) -> list[ResultRow]:
         except InvalidInputError as error:
             raise RunStoreError(f"{place}: {error}") from None
         rows.append(row)
+    places_by_key: dict[RowKey, str] = {}
+    for place, row in zip(places, rows, strict=True):
+        if places_by_key.setdefault(row.key, place) != place:
+            first = places_by_key[row.key].rpartition(", ")[2]
+            raise RunStoreError(
+                f"{place}: problem {row.problem}, planner {row.planner}, seed {row.seed} is in "
+                f"{first}, too; delete one of the two rows"
+            )
     return rows
 
 

@@ -322,6 +322,22 @@ def test_every_path_of_a_run_is_judged_again_from_its_rows(tmp_path, cvqmpt, cap
     assert main(["certify", str(tmp_path)]) == 1
     assert "2 birrt seed 0: certified in the row, refused now: " in capsys.readouterr().err
 
+    for forged, told in (
+        ({"path_sha256": None, "path_length_rad": 0.5}, "certified in the row, without a path"),
+        ({"min_clearance_m": 0.5}, "min_clearance_m is 0.5 in the row, 0.0"),
+        ({"obstacle_clearance_m": 0.5}, "obstacle_clearance_m is 0.5 in the row, "),
+        ({"self_clearance_m": 0.5}, "self_clearance_m is 0.5 in the row, "),
+        ({"max_violation_rad": 0.3}, "max_violation_rad is 0.3 in the row, "),
+        ({"max_violation_m": 0.0003}, "max_violation_m is 0.0003 in the row, "),
+    ):
+        write_rows(tmp_path / RUNS_FILE, [replace(rows[0], **forged), rows[1]])
+        assert main(["certify", str(tmp_path)]) == 1
+        captured = capsys.readouterr()
+        assert f"2 birrt seed 0: {told}" in captured.err and ", 1 differ" in captured.out
+    write_rows(tmp_path / RUNS_FILE, [*rows, replace(rows[0], t_plan_s=0.1)])
+    twice = refused(capsys, "certify", tmp_path)
+    assert "line 3: problem 2, planner birrt, seed 0 is in line 2, too" in twice
+
     write_rows(tmp_path / RUNS_FILE, [replace(rows[0], path_sha256="0" * 64), rows[1]])
     assert main(["certify", str(tmp_path)]) == 1
     assert "2 birrt seed 0: its path is not kept" in capsys.readouterr().err
