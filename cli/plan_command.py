@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.base.files import csv_table, make_folder, write_text
+from cvqmpt_lab.base.values import bound_text
 from cvqmpt_lab.benchmarks.declarations import SUITES
 from cvqmpt_lab.benchmarks.suite import suite_named
 from cvqmpt_lab.cli.options import (
@@ -196,7 +197,8 @@ def _write_trajectory(args: argparse.Namespace, solution: Solution) -> str:
     save_trajectory(motion, args.trajectory)
     return (
         f"trajectory  {motion.duration:.2f} s at {args.speed:g} of the joint limits, at most "
-        f"{motion.deviation:.1e} rad off the path, certified; written to {args.trajectory}"
+        f"{bound_text(motion.deviation, up=True)} rad off the path, certified; written to "
+        f"{args.trajectory}"
         f"{_not_limited(solution.problem.robot)}"
     )
 

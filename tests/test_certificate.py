@@ -6,10 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from command_line import python
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from cvqmpt_lab.base.poses import pose
+from cvqmpt_lab.base.values import bound_text
 from cvqmpt_lab.benchmarks.place_task import place_problem
-from cvqmpt_lab.certificate.certificate import FaultKind, Verdict, certify
+from cvqmpt_lab.certificate.certificate import Deviation, FaultKind, Verdict, certify
 from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.scene.shapes import Sphere
@@ -89,3 +92,33 @@ def test_a_certificate_does_not_depend_on_what_its_process_did_before(tmp_path):
     np.save(tmp_path / "states.npy", found.path.states)
     printed = [python(AFTER_OTHERS, count, tmp_path / "states.npy") for count in (0, 1, 40)]
     assert "min_clearance" in printed[0] and printed == 3 * printed[:1]
+
+
+def test_bounds_of_a_motion_hold_for_the_curve_that_straight_pieces_stand_for(problem, states):
+    """The curve may be a margin of the checker away from the pieces; the bound was the pieces'."""
+    apart = 1e-4
+    pieces = certify(problem, JointPath(states))
+    curve = certify(problem, JointPath(states), problem.collision_checker(apart))
+    for one, other in (
+        (pieces.obstacle_clearance, curve.obstacle_clearance),
+        (pieces.self_clearance, curve.self_clearance),
+    ):
+        assert other.at_least_m <= one.distance_m - apart
+
+
+@settings(max_examples=300)
+@given(st.floats(1e-12, 1e12), st.integers(1, 5))
+def test_printed_bounds_are_bounds(bound, digits):
+    """Rounded to nearest, a half of them was on the wrong side."""
+    low, high = (bound_text(bound, up, digits) for up in (False, True))
+    assert float(low) <= bound <= float(high)
+    step = 10.0 ** (1 - digits)
+    assert float(high) - float(low) <= 1.01 * step * bound
+    assert bound_text(float(f"{bound:.{digits}g}"), True, digits) == f"{bound:.{digits}g}"
+
+
+def test_bounds_without_digits_are_printed():
+    assert [bound_text(x, up=True) for x in (0.0, float("inf"), -0.0451)] == ["0", "inf", "-0.045"]
+    assert str(Deviation(0.0129, 0.0999, 0.00999)) == (
+        "points 12 mm off, a hand turned by 0.099 rad; joints 0.0099 rad off"
+    )

@@ -55,6 +55,15 @@ def numbers(value: Any, where: str, what: str = "numbers") -> FloatArray:
         raise InvalidInputError(f"{where} is {shown(value)}; it must be {what}") from error
 
 
+def bound_text(bound: float, up: bool, digits: int = 2) -> str:
+    """Return a bound with a number of digits, rounded up or down so that it is still a bound."""
+    text = f"{bound:.{digits}g}"
+    if (float(text) < bound) if up else (float(text) > bound):
+        half = 0.5 * 10.0 ** (math.floor(math.log10(abs(bound))) - digits + 1)
+        text = f"{bound + (half if up else -half):.{digits}g}"
+    return text
+
+
 @dataclass(frozen=True)
 class Condition:
     """Form of a scalar that meets a condition."""

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cvqmpt_lab.base.values import bound_text
 from cvqmpt_lab.certificate.between_states import largest_violation, least_slack
 from cvqmpt_lab.certificate.motion_proof import LeastDistance, prove_free
 from cvqmpt_lab.collision.carried import reach_with
@@ -78,10 +79,12 @@ class Deviation(NamedTuple):
 
     def __str__(self) -> str:
         """Return the deviation in words."""
-        turn = f", a hand turned by {self.hand_rad:.2g} rad" if np.isfinite(self.hand_rad) else ""
+        hand, joints = bound_text(self.hand_rad, up=False), bound_text(self.joints, up=False)
+        turn = f", a hand turned by {hand} rad" if np.isfinite(self.hand_rad) else ""
         if not np.isfinite(self.points_m):
             return f"any position of its points{turn}"
-        return f"points {1e3 * self.points_m:.2g} mm off{turn}; joints {self.joints:.2g} rad off"
+        points = bound_text(1e3 * self.points_m, up=False)
+        return f"points {points} mm off{turn}; joints {joints} rad off"
 
 
 @dataclass(frozen=True)
@@ -175,8 +178,9 @@ def certify(
         faults.append(Fault(FaultKind.NOT_PROVEN, text, _place(path.states, q)))
     proven_free = proof.colliding is None and proof.unproven is None
     proven_m = problem.clearance if proven_free else -np.inf
-    to_obstacles = _clearance(path.states, proof.obstacles, proven_m)
-    to_itself = _clearance(path.states, proof.itself, -np.inf)
+    # the checker's margin is the distance of a motion from the straight pieces that stand for it
+    to_obstacles = _clearance(path.states, proof.obstacles, proven_m, checker.margin)
+    to_itself = _clearance(path.states, proof.itself, -np.inf, checker.margin)
     distances = [item.distance_m for item in (to_obstacles, to_itself) if item]
     tolerated = None
     if clearance:
@@ -236,15 +240,19 @@ def _place(states: np.ndarray, q: np.ndarray) -> float:
 
 
 def _clearance(
-    states: np.ndarray, least: LeastDistance | None, proven_m: float
+    states: np.ndarray, least: LeastDistance | None, proven_m: float, apart_m: float
 ) -> Clearance | None:
-    """Return the clearance on a path (m, n); None without a pair.
+    """Return the clearance on a motion; None without a pair.
 
-    proven_m: distance that is proven of every state in addition.
+    Args:
+        states: (m, n) on the straight pieces that stand for the motion [rad or m].
+        least: least distance on the straight pieces.
+        proven_m: distance that is proven of every state in addition.
+        apart_m: largest distance of the motion's points from those of the straight pieces.
     """
     if least is None or least.pair is None:
         return None
-    proven = max(least.distance - least.bound, proven_m)
+    proven = max(least.distance - least.bound - apart_m, proven_m)
     return Clearance(least.distance, proven, str(least.pair), _place(states, least.q))
 
 

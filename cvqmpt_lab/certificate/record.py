@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from cvqmpt_lab.base.files import finite
+from cvqmpt_lab.base.values import bound_text
 from cvqmpt_lab.certificate.certificate import (
     CERTIFICATE_TOLERANCE,
     END_TOLERANCE_RAD,
@@ -123,15 +124,17 @@ def report_lines(found: DryRun, contents: dict[str, Any]) -> list[str]:
         proven = "gaps"
     curve = ""
     if found.deviation_m:
-        curve = f"; straight pieces within {1e3 * found.deviation_m:.2g} mm of the curve"
+        apart = bound_text(1e3 * found.deviation_m, up=True)
+        curve = f"; straight pieces within {apart} mm of the curve"
     compared, tolerances = contents["compared"], contents["tolerances"]
     near = compared["obstacles"] - len(compared["out_of_reach"])
     reasons = Counter(pair["reason"] for pair in compared["left_out"])
     left = ", ".join(f"{count} {reason}" for reason, count in reasons.most_common())
     return [
         *lines,
-        f"constraint  at most {certificate.max_violation_rad:.2g} rad, "
-        f"{certificate.max_violation_m:.2g} m outside; {CERTIFICATE_TOLERANCE:g} is allowed",
+        f"constraint  at most {bound_text(certificate.max_violation_rad, up=True)} rad, "
+        f"{bound_text(certificate.max_violation_m, up=True)} m outside; "
+        f"{CERTIFICATE_TOLERANCE:g} is allowed",
         *(f"clearance   {distance}" for distance in distances),
         *([f"tolerates   {certificate.tolerated}"] if certificate.tolerated else []),
         f"resolution  {proven}, by {certificate.states_checked} checks{curve}",
@@ -154,7 +157,8 @@ def _proven(clearance: Clearance) -> str:
     """Return in words the lower bound on the distance over all states, or that there is none."""
     if not math.isfinite(clearance.at_least_m):
         return "the least found"
-    return f"at least {1e3 * max(clearance.at_least_m, 0.0):.2f} mm everywhere"
+    # rounded down to 0.01 mm
+    return f"at least {math.floor(1e5 * max(clearance.at_least_m, 0.0)) / 100:.2f} mm everywhere"
 
 
 def _where(found: DryRun, at: float) -> str:
