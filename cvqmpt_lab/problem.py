@@ -40,6 +40,7 @@ from cvqmpt_lab.base.values import FULL_TURN_RAD, Array, Condition, FloatArray, 
 from cvqmpt_lab.collision.carried import reach_with
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.goals import SAMPLE_MARGIN_M, find_in_region
+from cvqmpt_lab.constraints.holding import really_held
 from cvqmpt_lab.constraints.named import Region
 from cvqmpt_lab.constraints.project import PROJECTION_TOLERANCE
 from cvqmpt_lab.constraints.region_constraint import RegionConstraint
@@ -246,6 +247,11 @@ class PlanningProblem(Document):
         )
 
     @cached_property
+    def carried(self) -> tuple[Attachment, ...]:
+        """The attachments, also held only by hands that the constraint keeps at them."""
+        return really_held(self.robot, self.attachments, self.constraint)
+
+    @cached_property
     def dynamics(self) -> Dynamics | None:
         """Dynamics of the robot and its load; None if no effort is limited."""
         return Dynamics.of(self.robot, loads_of(self.attachments))
@@ -265,7 +271,7 @@ class PlanningProblem(Document):
 
     def collision_checker(self, margin: float = 0.0) -> CollisionChecker:
         """Return the exact checker of this problem; distances below margin [m] are collisions."""
-        return shared_checker(self.robot, self.scene, self.attachments, margin, self.clearance)
+        return shared_checker(self.robot, self.scene, self.carried, margin, self.clearance)
 
 
 def _with_numbers(data: Any) -> Any:

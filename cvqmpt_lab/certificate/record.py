@@ -5,6 +5,7 @@ import json
 import math
 from collections import Counter
 from importlib.metadata import version
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,7 @@ from cvqmpt_lab.certificate.certificate import (
     Verdict,
 )
 from cvqmpt_lab.certificate.motion_check import DryRun
-from cvqmpt_lab.collision.carried import carried_pairs, reach_with
+from cvqmpt_lab.collision.carried import carried_pairs, pairs_of_carried, reach_with
 from cvqmpt_lab.collision.exact import COAL_ROUNDING_M
 from cvqmpt_lab.collision.solids import obstacles_within, solids
 from cvqmpt_lab.geometry.polyline import distances_along
@@ -181,7 +182,7 @@ def _time(found: DryRun, at: float) -> float | None:
 
 def _compared(problem: PlanningProblem) -> dict[str, Any]:
     """Count pieces, obstacles and pairs; list obstacles and pairs left out, with the reason."""
-    robot, carried = problem.robot, problem.attachments
+    robot, carried = problem.robot, problem.carried
     links = robot.collision_model.geometryObjects
     pieces = [len(list(solids(item.name, item.shape, item.T_hand_object))) for item in carried]
     reach = reach_with(robot, carried) + problem.clearance
@@ -189,14 +190,21 @@ def _compared(problem: PlanningProblem) -> dict[str, Any]:
         item.name: len(list(obstacles_within(Scene("one", (item,)), reach)))
         for item in problem.scene.obstacles
     }
-    pairs = carried_pairs(robot, carried)
+    pairs, between = carried_pairs(robot, carried), pairs_of_carried(robot, carried)
     left_out = [pair._asdict() for pair in robot.left_out_pairs]
+    rows = [robot.hand(item.end_effector)[0] for item in carried]
     left_out += [
-        LeftOut(link.name, item.name, "fixed to each other")._asdict()
-        for i, link in enumerate(links)
-        for k, item in enumerate(carried)
+        LeftOut(link.name, item.name, _why_left_out(piece.link, row))._asdict()
+        for i, (link, piece) in enumerate(zip(links, robot.links, strict=True))
+        for k, (item, row) in enumerate(zip(carried, rows, strict=True))
         if (i, k) not in pairs
     ]
+    left_out += [
+        LeftOut(carried[k].name, carried[m].name, _why_left_out(rows[k], rows[m]))._asdict()
+        for k, m in combinations(range(len(carried)), 2)
+        if (k, m) not in between
+    ]
+    own = sum(pieces[k] for _, k in pairs) + sum(pieces[k] * pieces[m] for k, m in between)
     return {
         "moving_pieces": sum(link.parentJoint > 0 for link in links),
         "standing_pieces": sum(link.parentJoint == 0 for link in links),
@@ -204,6 +212,11 @@ def _compared(problem: PlanningProblem) -> dict[str, Any]:
         "obstacles": len(obstacles),
         "obstacle_pieces": sum(obstacles.values()),
         "out_of_reach": [name for name, count in obstacles.items() if count == 0],
-        "own_pairs": len(robot.collision_model.collisionPairs) + sum(pieces[k] for _, k in pairs),
+        "own_pairs": len(robot.collision_model.collisionPairs) + own,
         "left_out": left_out,
     }
+
+
+def _why_left_out(row: int, other: int) -> str:
+    """Return why a link or load is no pair with a load, by the pose rows that carry them."""
+    return "fixed to each other" if row == other else "also held by"

@@ -4,6 +4,7 @@ A robot's are kept in the user's cache: cutting its hulls into pieces takes a qu
 """
 
 from functools import lru_cache
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.base.jit import KERNELS_DIGEST
 from cvqmpt_lab.base.values import frozen
 from cvqmpt_lab.collision import geometry
-from cvqmpt_lab.collision.carried import carried_pairs, reach_with
+from cvqmpt_lab.collision.carried import carried_pairs, pairs_of_carried, reach_with
 from cvqmpt_lab.collision.covers import PIECE_RADIUS_M, Cloud
 from cvqmpt_lab.collision.geometry import (
     RobotGeometry,
@@ -54,6 +55,8 @@ def robot_arrays(robot: Robot, attachments: tuple[Attachment, ...] = ()) -> Robo
         specs.extend(carried)
         links.extend([hand] * len(carried))
     pairs = [(i, row) for i, k in carried_pairs(robot, attachments) for row in rows[k]]
+    for k, m in pairs_of_carried(robot, attachments):
+        pairs += product(rows[k], rows[m])
     pairs = [*robot.self_collision_pairs, *pairs]
     sources = sources_digest(Path(geometry.__file__), Path(convex.__file__))
     made_of = [f"{KERNELS_DIGEST} {sources} {links} {pairs}".encode()]

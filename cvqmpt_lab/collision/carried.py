@@ -1,6 +1,7 @@
 """Attachments of a robot: pairs of pieces to check, and the reach of robot and attachments."""
 
 from collections.abc import Sequence
+from itertools import combinations
 
 import numpy as np
 
@@ -11,13 +12,28 @@ from cvqmpt_lab.scene.scene import Attachment
 
 def carried_pairs(robot: Robot, attachments: Sequence[Attachment]) -> list[tuple[int, int]]:
     """Pairs to check, as indices of (link piece, attachment), without pieces of a holding hand."""
-    holding = [[robot.hand(name)[0] for name in item.held_by] for item in attachments]
+    holding = _holding(robot, attachments)
     return [
         (i, k)
         for k, hands in enumerate(holding)
         for i, piece in enumerate(robot.links)
         if piece.link not in hands
     ]
+
+
+def pairs_of_carried(robot: Robot, attachments: Sequence[Attachment]) -> list[tuple[int, int]]:
+    """Pairs of attachments to check, without those that a hand of the other one holds, too."""
+    holding = _holding(robot, attachments)
+    return [
+        (k, m)
+        for k, m in combinations(range(len(holding)), 2)
+        if holding[k][0] not in holding[m] and holding[m][0] not in holding[k]
+    ]
+
+
+def _holding(robot: Robot, attachments: Sequence[Attachment]) -> list[list[int]]:
+    """Pose rows of the hands that hold each attachment; the first one carries it."""
+    return [[robot.hand(name)[0] for name in item.held_by] for item in attachments]
 
 
 def reach_with(robot: Robot, attachments: Sequence[Attachment], longest: float = 20.0) -> float:

@@ -9,13 +9,14 @@ from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 from typing import NamedTuple, TypeVar
 
 import coal
 import numpy as np
 import pinocchio as pin
 
-from cvqmpt_lab.collision.carried import carried_pairs, reach_with
+from cvqmpt_lab.collision.carried import carried_pairs, pairs_of_carried, reach_with
 from cvqmpt_lab.collision.motion_bounds import Sweep, ball_around
 from cvqmpt_lab.collision.solids import obstacles_within, solids
 from cvqmpt_lab.robot.hulls import coal_distance
@@ -393,4 +394,7 @@ def _robot_geometry(robot: Robot, attachments: Sequence[Attachment]) -> pin.Geom
     for i, k in carried_pairs(robot, attachments):
         for piece in carried[k]:
             geometry.addCollisionPair(pin.CollisionPair(i, piece))
+    for k, m in pairs_of_carried(robot, attachments):
+        for first, second in product(carried[k], carried[m]):
+            geometry.addCollisionPair(pin.CollisionPair(first, second))
     return geometry

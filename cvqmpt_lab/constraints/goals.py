@@ -280,7 +280,7 @@ def sample_goals(
     found = reach_free(
         robot.kinematics,
         regions,
-        robot_arrays(robot, problem.attachments),
+        robot_arrays(robot, problem.carried),
         scene_arrays(problem.scene, reach_with(robot, problem.attachments), problem.clearance),
         SAMPLE_MARGIN_M,
         seeds,
@@ -432,7 +432,7 @@ def _reached(
     found = reach_free(
         robot.kinematics,
         regions,
-        robot_arrays(robot, problem.attachments),
+        robot_arrays(robot, problem.carried),
         scene_arrays(problem.scene, reach_with(robot, problem.attachments), problem.clearance),
         SAMPLE_MARGIN_M,
         _seeds(robot, np.array(seeds), problem.goal_region.end_effector),

@@ -35,8 +35,8 @@ class ProblemParts(Protocol):
         """The constraint F(q) = 0."""
 
     @property
-    def attachments(self) -> tuple[Attachment, ...]:
-        """Bodies that the robot carries."""
+    def carried(self) -> tuple[Attachment, ...]:
+        """Bodies that the robot carries, with the hands that really hold them."""
 
     @property
     def clearance(self) -> float:

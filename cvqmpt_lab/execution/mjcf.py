@@ -15,7 +15,7 @@ from xml.etree.ElementTree import Element, SubElement, tostring
 import numpy as np
 
 from cvqmpt_lab.base.errors import InvalidInputError
-from cvqmpt_lab.collision.carried import carried_pairs
+from cvqmpt_lab.collision.carried import carried_pairs, pairs_of_carried
 from cvqmpt_lab.robot.dynamics import link_inertias
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
@@ -94,6 +94,7 @@ def unchecked_pairs(robot: Robot, carried: Sequence[Attachment] = ()) -> Iterato
     loads = [f"{LOAD_BODY}_{k}" for k in range(len(carried))]
     checked = {frozenset((pieces[i], pieces[k])) for i, k in robot.self_collision_pairs}
     checked |= {frozenset((pieces[i], loads[k])) for i, k in carried_pairs(robot, carried)}
+    checked |= {frozenset((loads[k], loads[m])) for k, m in pairs_of_carried(robot, carried)}
     return (pair for pair in combinations(pieces + loads, 2) if frozenset(pair) not in checked)
 
 

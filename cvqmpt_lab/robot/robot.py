@@ -35,9 +35,10 @@ class HeldJoint(NamedTuple):
 class LeftOut(NamedTuple):
     """Pair of links, or of a link and a piece of a door, that is not checked; and the reason.
 
-    Reasons: "SRDF: " and the reason in the SRDF; "fixed to each other"; "adjacent" (one joint
-    between them); "overlap in N % of random states" (the convex hulls are too large); "may touch"
-    (hand and handle, named in the problem file); "casing" (a door and its fixed frame).
+    Reasons: "SRDF: " and the reason in the SRDF; "fixed to each other"; "also held by" (a load and
+    a second hand); "adjacent" (one joint between them); "overlap in N % of random states" (the
+    convex hulls are too large); "may touch" (hand and handle, named in the problem file); "casing"
+    (a door and its fixed frame).
     """
 
     first: str

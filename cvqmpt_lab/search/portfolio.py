@@ -156,7 +156,7 @@ class _Run:
 
 def spread_nodes(problem: PlanningProblem, model: str, draw: int | None = None) -> Roadmap:
     """Return the roadmap of a problem's robot by `spread_roadmap`, which needs no model."""
-    return spread_roadmap(problem.robot, problem.attachments, draw)
+    return spread_roadmap(problem.robot, problem.carried, draw)
 
 
 def roadmap_planner(

@@ -257,7 +257,7 @@ class ConstrainedSpace:
             problem.robot,
             problem.scene,
             problem.manifold,
-            attachments=problem.attachments,
+            attachments=problem.carried,
             clearance=problem.clearance,
             backend=backend,
             checker=problem.collision_checker,

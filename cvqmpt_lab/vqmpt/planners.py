@@ -61,7 +61,7 @@ def dictionary_roadmap(problem: PlanningProblem, model: str) -> Roadmap:
     """Return the roadmap of the dictionary's nodes that are free of self-collision."""
     from cvqmpt_lab.vqmpt.learned_sampler import free_dictionary
 
-    return free_dictionary(model, problem.robot, problem.attachments)
+    return free_dictionary(model, problem.robot, problem.carried)
 
 
 def planner_of(name: str) -> Method | None:

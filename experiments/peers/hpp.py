@@ -104,7 +104,7 @@ def _bools(values: Sequence[bool]) -> Any:
 def _posed(problem: PlanningProblem) -> Any:
     """Return the problem in HPP."""
     core = _imported("pyhpp.core")
-    device = _device(problem.robot, problem.scene, problem.attachments)
+    device = _device(problem.robot, problem.scene, problem.carried)
     posed = core.Problem(device)
     posed.setConstraints(_kept(problem, device))
     for check in ("CollisionValidation", "JointBoundValidation"):

@@ -112,6 +112,16 @@ def held_value(joint, locked, joints):
     return min(max(0.0, lower), upper)
 
 
+def holds(region):
+    """Whether a region in json keeps a hand at a thing: 2 cm, and 0.2 rad about two axes at least.
+
+    null is no bound.
+    """
+    wide = [np.inf if None in row else row[1] - row[0] for row in region["Bw"]]
+    tilt = np.inf if region.get("tilt") is None else 2.0 * region["tilt"]
+    return max(wide[:3]) <= 0.02 and min(sorted(wide[3:])[1], tilt) <= 0.2
+
+
 class Arm:
     """Groups of rigidly joined links, their joints and bodies, of a problem's field "robot"."""
 
@@ -145,7 +155,7 @@ class Arm:
                 if joint.get("type") != "fixed":
                     T = T @ motion(joint, held_value(joint, locked, joints))
             links[joint.find("child").get("link")] = group, T
-        self.frames, self.hand, self.bodies = links, links[hands[0]], []
+        self.frames, self.first, self.hand, self.bodies = links, hands[0], links[hands[0]], []
         for link in root.findall("link"):
             (group, T), bodies = links[link.get("name")], link.findall("collision")
             shapes = [link_triangles(x.find("geometry"), path.parent) for x in bodies]
@@ -170,15 +180,32 @@ class Arm:
 
     def carried(self, things, folder):
         """Bodies of attachments in json."""
-        hand, T = self.hand
-        return [body_of(x, hand, T @ np.array(x["T_hand_object"]), folder) for x in things]
+        hands = [self.frames[x.get("end_effector") or self.first] for x in things]
+        return [
+            body_of(x, k, T @ np.array(x["T_hand_object"]), folder)
+            for (k, T), x in zip(hands, things, strict=True)
+        ]
 
-    def carried_pairs(self, things, bodies):
-        """Pairs of a link and what is carried, without links fixed to a hand that holds it."""
-        names = [x.get("also_held_by", ()) for x in things]
-        holding = [{self.hand[0], *(self.frames[name][0] for name in some)} for some in names]
+    def carried_pairs(self, things, bodies, regions):
+        """Pairs of what is carried with a link or another thing, except what holds it.
+
+        A second hand holds a thing if a region of json with a base keeps it at the first one.
+        """
+        holding = []
+        for thing, body in zip(things, bodies, strict=True):
+            tied = {body.group}
+            for region in regions:
+                keys = ("base", "end_effector")
+                ends = {self.frames[region.get(key) or self.first][0] for key in keys}
+                if region.get("base") and ends & tied and holds(region):
+                    tied |= ends
+            also = {self.frames[name][0] for name in thing.get("also_held_by", ())}
+            holding.append({body.group, *(also & tied)})
         both = zip(bodies, holding, strict=True)
-        return [(a, b) for b, hands in both for a in self.bodies if a.group not in hands]
+        found = [(a, b) for b, hands in both for a in self.bodies if a.group not in hands]
+        every = combinations(zip(bodies, holding, strict=True), 2)
+        apart = [(a, b) for (a, by), (b, of) in every if a.group not in of and b.group not in by]
+        return found + apart
 
     def poses(self, states):
         """Of all groups (groups, k, 4, 4) at states (k, n)."""
@@ -215,7 +242,7 @@ class Judge:
         obstacles = [body_of(x, WORLD, np.array(x["T_world_object"]), path.parent) for x in objects]
         self.arm, self.bodies = arm, [*arm.bodies, *carried, *obstacles]
         self.moving = [body for body in (*arm.bodies, *carried) if body.group != WORLD]
-        in_hand = arm.carried_pairs(things, carried)
+        in_hand = arm.carried_pairs(things, carried, self.regions)
         self.pairs = [*arm.pairs(excused), *in_hand, *product(self.moving, obstacles)]
 
     def walk(self, states):

@@ -20,6 +20,7 @@ from cvqmpt_lab.base.codec import to_plain
 from cvqmpt_lab.benchmarks.two_arms import CARRYING_LAYOUTS, hold
 from cvqmpt_lab.certificate.certificate import CERTIFICATE_TOLERANCE, certify
 from cvqmpt_lab.collision.exact import CollisionChecker
+from cvqmpt_lab.constraints.holding import really_held
 from cvqmpt_lab.constraints.named import relative_pose
 from cvqmpt_lab.constraints.region_constraint import RegionConstraint
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
@@ -102,7 +103,7 @@ def given_arm(name, folder, kind=0):
     always = tuple((first, second) for first, second, why in out if why.startswith(OVERLAP))
     unseen = {frozenset((first, second)) for first, second, _ in out}
     held, chain = both_hold(robot, kind) if len(robot.end_effectors) > 1 else ((), ())
-    checker = CollisionChecker(robot, Scene("empty", ()), held)
+    checker = CollisionChecker(robot, Scene("empty", ()), really_held(robot, held, chain))
     plain = tuple({**to_plain(x), "T_hand_object": x.T_hand_object.tolist()} for x in held)
     return Given(source, robot, checker, arm, always, unseen, plain, chain)
 
@@ -175,7 +176,8 @@ def near_each_other(given, rng):
     robot, states = given.robot, given.drawn(rng, DRAWN)
     held = given.arm.carried(given.held, Path())
     poses, pairs = given.arm.poses(states), given.arm.pairs(given.always)
-    pairs = [*pairs, *given.arm.carried_pairs(given.held, held)]
+    chain = [region_in_json(region) for region in given.chain]
+    pairs = [*pairs, *given.arm.carried_pairs(given.held, held, chain)]
     pairs = [pair for pair in pairs if (gaps(*pair, poses, 1) < 0.0).any()]
     unseen = [(a, b) for a, b in pairs if {a.name, b.name} in given.unseen]
     pairs = unseen if unseen and rng.random() < 0.5 else pairs
@@ -257,15 +259,17 @@ def obstacle(given, held, q, rng, folder):
     return {"name": name, "shape": made, "T_world_object": T.tolist()}
 
 
+def region_in_json(region):
+    """A region with its poses in full."""
+    return {**to_plain(region), "T0_w": region.T0_w.tolist(), "Tw_e": region.Tw_e.tolist()}
+
+
 def problem_of(path, given, objects, attachments, states):
     """The problem of a motion, written to a file and read from it."""
     scene = {"name": "made", "objects": objects}
     data = {"schema": PlanningProblem.SCHEMA, "name": "made", "robot": given.source}
     ends = {"start": states[0].tolist(), "goals": [states[-1].tolist()]}
-    data["constraint"] = [
-        {**to_plain(region), "T0_w": region.T0_w.tolist(), "Tw_e": region.Tw_e.tolist()}
-        for region in given.chain
-    ]
+    data["constraint"] = [region_in_json(region) for region in given.chain]
     path.write_text(json.dumps({**data, "scene": scene, **ends, "attachments": attachments}))
     return PlanningProblem.load(path)
 
