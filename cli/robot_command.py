@@ -54,7 +54,7 @@ def describe(robot: Robot, tried: int = 200) -> dict[str, Any]:
         tried: number of random configurations from which the fraction without self-collision is
             estimated.
     """
-    velocity = np.array(robot.model.upperVelocityLimit)
+    velocity, kinematics = robot.velocity_limits, robot.kinematics
     states = robot.random_configurations(np.random.default_rng(0), tried)
     nothing = Scene("nothing", ())
     collide = CollisionChecker(robot, nothing).in_collision_batch(states)
@@ -67,7 +67,7 @@ def describe(robot: Robot, tried: int = 200) -> dict[str, Any]:
         "joints": [
             {
                 "name": name,
-                "kind": "prismatic" if robot.kinematics.prismatic[j] else "revolute",
+                "kind": "prismatic" if kinematics.prismatic[kinematics.order[j]] else "revolute",
                 "lower": float(robot.lower[j]),
                 "upper": float(robot.upper[j]),
                 "velocity": float(velocity[j]) if np.isfinite(velocity[j]) else None,
@@ -78,6 +78,7 @@ def describe(robot: Robot, tried: int = 200) -> dict[str, Any]:
         "held_joints": [
             {"name": j.name, "value": j.value, "reason": j.reason} for j in robot.held_joints
         ],
+        "followers": [joint._asdict() for joint in robot.followers],
         "frames": list(robot.frame_names),
         "collision_pieces": [{"name": p.name, "corners": len(p.vertices)} for p in robot.links],
         "self_collision_pairs": [
@@ -117,6 +118,11 @@ def report(robot: Robot, model: dict[str, Any], guesses: list[str]) -> Iterator[
     for reason, count in Counter(joint.reason for joint in robot.held_joints).items():
         names = [f"{j.name}={j.value:g}" for j in robot.held_joints if j.reason == reason]
         yield f"held         {count} {reason}: {_few(names)}"
+    for follower in robot.followers:
+        yield (
+            f"follows      {follower.name} = {follower.multiplier:g} * {follower.leader} "
+            f"{follower.offset:+g}"
+        )
     yield f"frames       {len(model['frames'])}: {_few(model['frames'])}"
     yield f"pieces       {len(robot.links)}: {_few([piece.name for piece in robot.links])}"
     if not robot.links:

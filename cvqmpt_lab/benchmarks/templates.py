@@ -125,7 +125,7 @@ def with_limits(source: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
     robot = robot_from_source(source)
     limits: dict[str, Any] = {}
     notes: list[str] = []
-    below = np.array(robot.model.upperVelocityLimit)
+    below = robot.velocity_limits
     for kind, seconds in (("acceleration", 0.5), ("jerk", 0.1)):
         known = robot.limits.get(kind)
         if known is None and not (np.isfinite(below) & (below > 0.0)).all():

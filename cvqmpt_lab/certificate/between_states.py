@@ -116,7 +116,8 @@ def least_slack(
             seen = np.where(np.isinf(seen), seen, 0.0)
         turns = ~thin[3:6]
         if turns.any():
-            furthest = np.linalg.norm(x[:, 3:6], axis=1).max() + ROTATION_RATE * spacing * robot.dof
+            turned = spacing * max(robot.turn_rate, robot.dof)
+            furthest = np.linalg.norm(x[:, 3:6], axis=1).max() + ROTATION_RATE * turned
             flips = furthest + seen[0] > np.pi and (lower[3:6] != -upper[3:6])[turns].any()
             seen[0] = 0.0 if flips else seen[0] / ROTATION_RATE
         slack = np.minimum(slack, seen.clip(min=0.0))

@@ -230,8 +230,8 @@ def deviation_tolerated(
     if any(isinstance(region, TaskSpaceRegionChain) for region in regions):
         # such a region moves with a link, which turns, too; the hand is within 2 reaches of it
         levers = np.maximum(levers, 2.0 * robot.reach)
-    hinges = (~robot.kinematics.prismatic).sum()
-    return Deviation(points, hand, float(min(points / levers.sum(), hand / max(hinges, 1))))
+    turn = max(robot.turn_rate, 1.0)
+    return Deviation(points, hand, float(min(points / levers.sum(), hand / turn)))
 
 
 def _place(states: np.ndarray, q: np.ndarray) -> float:

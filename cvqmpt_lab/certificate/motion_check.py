@@ -107,7 +107,9 @@ def dry_run(
         return DryRun(replace(certificate, faults=(*faults, *certificate.faults)), states)
     # a hinge moves points by at most the diameter times dq, a slider by dq [m]
     deviation_m = (
-        max(2.0 * reach_with(robot, problem.attachments), 1.0) * robot.dof * CURVE_TOLERANCE
+        max(2.0 * reach_with(robot, problem.attachments), 1.0)
+        * float(np.abs(robot.kinematics.multiplier).sum())
+        * CURVE_TOLERANCE
     )
     curves, gap = _curves(motion)
     together = gap <= 0.5 * CURVE_TOLERANCE

@@ -42,8 +42,12 @@ def robot_arrays(robot: Robot, attachments: tuple[Attachment, ...] = ()) -> Robo
     specs = [
         ShapeSpec(HULL, piece.T_link_geometry, vertices=piece.vertices) for piece in robot.links
     ]
-    for spec, piece in zip(specs, robot.links, strict=True):
-        _require_few_pieces(f"link geometry {piece.name!r}", spec)
+    whole = list[int]()  # large ones that stand still stay in one piece
+    for k, (spec, piece) in enumerate(zip(specs, robot.links, strict=True)):
+        if piece.link != 0:
+            _require_few_pieces(f"link geometry {piece.name!r}", spec)
+        elif _too_many_pieces(spec):
+            whole.append(k)
     links = [piece.link for piece in robot.links]
     rows = []
     for item in attachments:
@@ -65,7 +69,7 @@ def robot_arrays(robot: Robot, attachments: tuple[Attachment, ...] = ()) -> Robo
         made_of += (spec.half.tobytes(), spec.vertices.tobytes(), spec.T_owner_shape.tobytes())
 
     def arrays() -> dict[str, np.ndarray]:
-        made = robot_geometry(specs, links, pairs)._asdict()
+        made = robot_geometry(specs, links, pairs, whole)._asdict()
         return made.pop("pieces")._asdict() | made
 
     found = cached_arrays("robot_geometry", b"".join(made_of), arrays)
@@ -73,13 +77,19 @@ def robot_arrays(robot: Robot, attachments: tuple[Attachment, ...] = ()) -> Robo
     return frozen(RobotGeometry(pieces=pieces, largest=float(found.pop("largest")), **found))
 
 
-def _require_few_pieces(name: str, spec: ShapeSpec, most: int = 2000) -> None:
-    """Refuse a shape that would be cut into more than `most` pieces.
+def _too_many_pieces(spec: ShapeSpec, most: int = 2000) -> bool:
+    """Return whether a shape would be cut into more than `most` pieces.
 
     2000 pieces are a cube of 1.2 m; cutting more takes seconds, and soon minutes.
     """
     size = np.ptp(outline(spec._replace(T_owner_shape=np.eye(4))), axis=0)
-    if spec.kind != SPHERE and np.prod(np.maximum(size / PIECE_RADIUS_M, 1.0)) > most:
+    return bool(spec.kind != SPHERE and np.prod(np.maximum(size / PIECE_RADIUS_M, 1.0)) > most)
+
+
+def _require_few_pieces(name: str, spec: ShapeSpec) -> None:
+    """Refuse a moving shape that would be cut into too many pieces."""
+    if _too_many_pieces(spec):
+        size = np.ptp(outline(spec._replace(T_owner_shape=np.eye(4))), axis=0)
         raise InvalidInputError(
             f"{name} is {size[0]:.3g} x {size[1]:.3g} x {size[2]:.3g} m large, too large to plan "
             "with: give sizes in metres"
@@ -89,17 +99,12 @@ def _require_few_pieces(name: str, spec: ShapeSpec, most: int = 2000) -> None:
 @lru_cache(maxsize=8)
 def robot_swing(robot: Robot, attachments: tuple[Attachment, ...] = ()) -> np.ndarray:
     """Bounds (n,) on |dx/dq_j| of any point x of the robot [m/rad of hinges, 1 of sliders]."""
-    kinematics, pieces = robot.kinematics, robot_arrays(robot, attachments)
-    extent = np.zeros(robot.dof + 1)  # of what hangs on each pose row, from its origin
+    pieces = robot_arrays(robot, attachments)
+    extent = np.zeros(len(robot.kinematics.parent) + 1)
     for row, first in zip(pieces.body_link, pieces.body_start[:-1], strict=True):
         ball = pieces.sphere[first]
         extent[row] = max(extent[row], np.linalg.norm(ball[:3]) + ball[3])
-    slides = np.maximum(np.abs(kinematics.lower), np.abs(kinematics.upper)) * kinematics.prismatic
-    for j in reversed(range(robot.dof)):
-        step = np.linalg.norm(kinematics.translation[j]) + slides[j]
-        up = kinematics.parent[j]
-        extent[up] = max(extent[up], step + extent[j + 1])
-    return frozen(np.where(kinematics.prismatic, 1.0, extent[1:]))
+    return frozen(robot.speeds_from(extent))
 
 
 @lru_cache(maxsize=8)

@@ -111,7 +111,8 @@ class CollisionChecker:
 
     def in_collision(self, q: np.ndarray) -> bool:
         """Whether configuration q (n,) touches anything. About 20 us."""
-        if pin.computeCollisions(self._model, self._data, self._own, q, True):
+        values = self.robot.kinematics.joint_values(q)
+        if pin.computeCollisions(self._model, self._data, self._own, values, True):
             return True
         return self._near_obstacles(self.outer)
 
@@ -175,7 +176,10 @@ class CollisionChecker:
 
     def _pose(self, q: np.ndarray) -> None:
         """Move all pieces to configuration q (n,)."""
-        pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._own_results, q)
+        values = self.robot.kinematics.joint_values(q)
+        pin.updateGeometryPlacements(
+            self._model, self._data, self._geometry, self._own_results, values
+        )
         self._own.update()
 
     def moved(self, q: np.ndarray, hull: np.ndarray) -> float:
@@ -195,7 +199,10 @@ class CollisionChecker:
 
     def _near_pairs(self, q: np.ndarray, gaps: np.ndarray | float) -> list[int]:
         """Move the pieces to q (n,); return own pairs whose balls are at most `gaps` [m] apart."""
-        pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._own_results, q)
+        values = self.robot.kinematics.joint_values(q)
+        pin.updateGeometryPlacements(
+            self._model, self._data, self._geometry, self._own_results, values
+        )
         (first, second), (joints, balls) = self._own_pairs, self._balls
         R = np.array([T.rotation for T in self._data.oMi])
         t = np.array([T.translation for T in self._data.oMi])
@@ -205,7 +212,10 @@ class CollisionChecker:
 
     def colliding_pair(self, q: np.ndarray) -> CollidingPair | None:
         """First overlapping pair, or None."""
-        pin.computeCollisions(self._model, self._data, self._geometry, self._own_results, q, False)
+        values = self.robot.kinematics.joint_values(q)
+        pin.computeCollisions(
+            self._model, self._data, self._geometry, self._own_results, values, False
+        )
         for k, result in enumerate(self._own_results.collisionResults):
             if result.isCollision():
                 return self._own_pair(k)

@@ -5,7 +5,7 @@ checked against the same others; it has one tree of balls. An *item* is an obsta
 neighbouring primitives of a cloud.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Annotated, NamedTuple
 
 import numpy as np
@@ -124,6 +124,7 @@ def robot_geometry(
     specs: Sequence[ShapeSpec],
     link: Sequence[int],
     pairs: Sequence[tuple[int, int]],
+    whole: Collection[int] = (),
 ) -> RobotGeometry:
     """Cut a robot into pieces and make their trees of balls.
 
@@ -132,11 +133,16 @@ def robot_geometry(
         link: pose row of each; those of link 0, fixed to the world, are not checked against
             obstacles.
         pairs: geometries to check against each other.
+        whole: geometries that are not cut: one ball around each, which is checked exactly more
+            often, instead of thousands.
     """
     bodies, body_pairs = _bodies(link, pairs)
     piece_specs: list[ShapeSpec] = []
     trees = sphere_trees(
-        [[leaf for g in body for leaf in _cut(specs[g], piece_specs)] for body in bodies]
+        [
+            [leaf for g in body for leaf in _cut(specs[g], piece_specs, g in whole)]
+            for body in bodies
+        ]
     )
     rows = np.array([link[members[0]] for members in bodies], dtype=np.int64)
     order = [b for b in np.argsort(-rows, kind="stable") if rows[b] != 0]
@@ -174,10 +180,10 @@ def _bodies(
     return bodies, sorted(paired)
 
 
-def _cut(spec: ShapeSpec, pieces: list[ShapeSpec]) -> list[Piece]:
+def _cut(spec: ShapeSpec, pieces: list[ShapeSpec], whole: bool) -> list[Piece]:
     """Append the convex pieces of a geometry (cylinders, spheres uncut); return its leaves."""
     points = outline(spec)
-    parts = [points] if spec.kind == SPHERE else cut_into_pieces(points)
+    parts = [points] if whole or spec.kind == SPHERE else cut_into_pieces(points)
     if spec.kind not in (HULL, BOX) or len(parts) == 1:
         pieces.append(spec)
         return [Piece(part, spec.inflation, len(pieces) - 1) for part in parts]

@@ -21,8 +21,10 @@ class Sweep:
 
     def __init__(self, robot: Robot, geometry: pin.GeometryModel, links: Sequence[int]) -> None:
         self._model, self._data = robot.model, robot.model.createData()
+        # bounds are of all joints' values: those of joints that mimic others are linear in q
+        self._kinematics = robot.kinematics
         objects, joints = geometry.geometryObjects, robot.model.njoints
-        support = np.zeros((joints, robot.dof), dtype=bool)
+        support = np.zeros((joints, robot.model.nv), dtype=bool)
         self._balls = np.zeros((joints, 4))
         for k in range(1, joints):
             support[k, [robot.model.idx_vs[i] for i in robot.model.supports[k] if i > 0]] = True
@@ -50,6 +52,7 @@ class Sweep:
         """
         if skipped is None:
             skipped = np.zeros(len(q), dtype=int)
+        q, hulls = self._kinematics.joint_values(q), self._kinematics.joint_values(hulls)
         bounds = np.zeros((len(q), len(self._links)))
         first = int(skipped.min(initial=len(self._links)))
         links, moving = self._links[first:], self._moving[first:]
@@ -60,6 +63,7 @@ class Sweep:
     def between(self, q: np.ndarray, hulls: np.ndarray) -> np.ndarray:
         """Bounds (k, p) [m] on the relative motion of two points of a pair: sums of two bounds."""
         none = np.zeros(len(q), dtype=int)
+        q, hulls = self._kinematics.joint_values(q), self._kinematics.joint_values(hulls)
         bounds = self._bounds(self._sides, self._moving_sides, q, hulls, none)
         return bounds.reshape(len(q), 2, -1).sum(1)[:, self._pair.reshape(-1)]
 
@@ -81,6 +85,8 @@ class Sweep:
         The second term bounds half the second derivative along a straight line: for a joint i
         before j, d/dq_i turns the vector axis_j x (x - origin_j), whose length is at most s_j.
         Sliders do not turn: they are left out of the inner sum. s_j grows as joints after j move.
+
+        n counts all joints, those that mimic others included.
 
         Args:
             links: (l,), joint ids.

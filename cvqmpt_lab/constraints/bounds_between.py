@@ -31,7 +31,9 @@ def bound_between(
         The bound (m - 1,) [m, rad], and whether it is linear in the length of the stretch (m - 1,):
         where the rotation vector may change its sign, or the tilt comes close to pi.
     """
-    change, rows = np.abs(np.diff(q, axis=0)), region.bounded_rows
+    # of all joints: those that mimic others turn links, too
+    change = np.abs(np.diff(robot.kinematics.joint_values(q), axis=0))
+    rows = region.bounded_rows
     slides = robot.kinematics.prismatic
     turn, slide = change[:, ~slides].sum(1), change[:, slides].sum(1)
     angle = np.linalg.norm(x[:, 3:6], axis=1)

@@ -65,7 +65,7 @@ def one_pose(region: TaskSpaceRegion) -> TaskSpaceRegion:
 
 def has_fewer_than_6_dof(robot: Robot, region: TaskSpaceRegion) -> bool:
     """Return whether fewer than 6 joints move the hand: random poses are almost never reachable."""
-    return int(robot.kinematics.moves[:, robot.hand(region.end_effector)[0]].sum()) < 6
+    return int(robot.movers(robot.hand(region.end_effector)[0]).sum()) < 6
 
 
 def solve_poses(
@@ -103,7 +103,7 @@ def solve_poses(
         guesses,
         POSE_TOLERANCE,
         POSE_STEPS,
-        projection_scratch(robot.dof, regions),
+        projection_scratch(robot.kinematics, regions),
         reached,
     )
     return [rows[iterations >= 0] for rows, iterations in zip(guesses, reached, strict=True)]
@@ -290,7 +290,7 @@ def sample_goals(
         POSE_STEPS,
         # from a given posture, or along limits and bounds, progress may be slow
         near is None and not project,
-        projection_scratch(robot.dof, regions),
+        projection_scratch(robot.kinematics, regions),
         count,
         poses,
     )
@@ -317,9 +317,7 @@ def _no_configurations(T: np.ndarray, n: int) -> Poses:
 
 def _turned_near(configurations: np.ndarray, start: np.ndarray, robot: Robot) -> np.ndarray:
     """Move the hinges of configurations (k, n) by whole turns, as near to start as limits allow."""
-    turned = np.where(
-        robot.kinematics.prismatic, configurations, nearest_turn(configurations, start)
-    )
+    turned = np.where(robot.turns_freely, nearest_turn(configurations, start), configurations)
     return np.where((turned >= robot.lower) & (turned <= robot.upper), turned, configurations)
 
 
@@ -442,7 +440,7 @@ def _reached(
         POSE_TOLERANCE,
         5 * POSE_STEPS,
         False,
-        projection_scratch(robot.dof, regions),
+        projection_scratch(robot.kinematics, regions),
         len(T),
         poses,
     )

@@ -96,7 +96,7 @@ def contradiction(robot: Robot, constraint: Sequence[TaskSpaceRegion], tries: in
     def ends(*members: TaskSpaceRegion) -> np.ndarray:
         """First configuration (1, n) that satisfies them, or all end points (tries, n)."""
         manifold, found = RegionConstraint(robot, members), draws.copy()
-        scratch = projection_scratch(robot.dof, manifold.regions)
+        scratch = projection_scratch(robot.kinematics, manifold.regions)
         for q in found:
             if (
                 project(
@@ -127,7 +127,7 @@ def _reach(robot: Robot, region: TaskSpaceRegion, T: np.ndarray, rng: np.random.
     away = np.linalg.norm(T[:, :3, 3] - robot.kinematics.translation[first], axis=1)
     if away.min() > reach:
         return (
-            f"they lie {away.min():.2f} m or more from {robot.joint_names[first]}, the hand "
+            f"they lie {away.min():.2f} m or more from {robot.moving_joints[first]}, the hand "
             f"reaches {reach:.2f} m"
         )
     turned = 0
@@ -143,7 +143,7 @@ def _reach(robot: Robot, region: TaskSpaceRegion, T: np.ndarray, rng: np.random.
             "with the requested one"
         )
     return (
-        f"they lie from {away.min():.2f} m on from {robot.joint_names[first]}, where the hand "
+        f"they lie from {away.min():.2f} m on from {robot.moving_joints[first]}, where the hand "
         f"reaches {reach:.2f} m, but the joint limits do not let it get there"
     )
 

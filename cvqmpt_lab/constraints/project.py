@@ -38,12 +38,12 @@ class ProjectionScratch(NamedTuple):
     step: Annotated[np.ndarray, "n"]  # Newton step [rad or m]
 
 
-def projection_scratch(n: int, regions: Regions) -> ProjectionScratch:
-    """Work arrays for n joints and the m bounded rows of regions."""
-    m = len(regions.axis)
+def projection_scratch(kinematics: Kinematics, regions: Regions) -> ProjectionScratch:
+    """Work arrays for n planned joints and the m bounded rows of regions."""
+    m, n, rows = len(regions.axis), len(kinematics.lower), len(kinematics.parent) + 1
     shapes: tuple[Any, ...] = (
-        (n + 1, 3, 3),
-        (n + 1, 3),
+        (rows, 3, 3),
+        (rows, 3),
         (len(regions.link), 12),
         m,
         (m, n),

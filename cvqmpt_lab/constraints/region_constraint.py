@@ -66,14 +66,12 @@ class RegionConstraint(Constraint):
             (m,) and (m, n), or (b, m) and (b, m, n).
         """
         batch = np.array(q, dtype=float, order="C", ndmin=2)
-        n, regions = self.robot.dof, self.regions
-        scratch = projection_scratch(n, regions)
+        kinematics, regions = self.robot.kinematics, self.regions
+        scratch = projection_scratch(kinematics, regions)
         work = scratch.link_rotation, scratch.link_translation, scratch.displacement
         residual = np.zeros((len(batch), len(regions.axis)))
-        jacobian = np.zeros((*residual.shape, n))
-        batch_residual_and_jacobian(
-            self.robot.kinematics, regions, batch, full, *work, residual, jacobian
-        )
+        jacobian = np.zeros((*residual.shape, self.robot.dof))
+        batch_residual_and_jacobian(kinematics, regions, batch, full, *work, residual, jacobian)
         return (residual, jacobian) if np.ndim(q) == 2 else (residual[0], jacobian[0])
 
     def project(
@@ -85,7 +83,7 @@ class RegionConstraint(Constraint):
         """Move q (n,) onto the manifold by Algorithm 1, inside the limits; None on failure."""
         q = np.array(q, dtype=float)
         regions = self.regions
-        scratch = projection_scratch(self.robot.dof, regions)
+        scratch = projection_scratch(self.robot.kinematics, regions)
         iterations = project(self.robot.kinematics, regions, q, tolerance, max_iterations, scratch)
         return q if iterations >= 0 else None
 

@@ -164,7 +164,10 @@ def _displacement(regions, k, link_rotation, link_translation):
 
 @kernel(inline="source")
 def _relative_velocity(kinematics, regions, k, j, link_rotation, link_translation, end, linear):
-    """Velocity (3; zero unless linear) and angular velocity (3) of e in w, per unit of joint j."""
+    """Velocity (3; zero unless linear) and angular velocity (3) of e in w, per unit of joint j.
+
+    The joint may be one that mimics a planned joint.
+    """
     with_link = kinematics.moves[j, regions.link[k]]
     if with_link == kinematics.moves[j, regions.base[k]]:  # both or neither move
         return (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
@@ -265,7 +268,8 @@ def jacobian(
 ):
     """Write J = dF/dq (m, n) into out: of v_j, Jl^-1(e) w_j and c . w_j / |c| for each joint j.
 
-    v_j and w_j are the velocity and angular velocity of the end frame against the reference.
+    v_j and w_j are the velocity and angular velocity of the end frame against the reference. Joints
+    that mimic a planned joint come last; they are added to its column.
 
     Args:
         kinematics: of the robot.
@@ -278,7 +282,7 @@ def jacobian(
         out_of_bounds: (m,), F written by `residual`.
         out: (m, n), written: J.
     """
-    n = kinematics.parent.shape[0]
+    n = kinematics.lower.shape[0]
     m = regions.region.shape[0]
     first = 0
     for k in range(regions.link.shape[0]):
@@ -296,19 +300,25 @@ def jacobian(
         vector = displacement[k, 6], displacement[k, 7], displacement[k, 8]
         factor, square = log_map_factor(vector)
         bounds_position = regions.axis[first] < 3  # rows of a region are sorted by axis
-        for j in range(n):
+        for place in range(kinematics.order.shape[0]):
+            joint = kinematics.order[place]
+            j = kinematics.entry[joint]
             v, w = _relative_velocity(
-                kinematics, regions, k, j, link_rotation, link_translation, end, bounds_position
+                kinematics, regions, k, joint, link_rotation, link_translation, end, bounds_position
             )
             rate = _log_map_rate(vector, factor, square, w)
             for row in range(first, last):
                 axis = regions.axis[row]
                 if out_of_bounds[row] == 0.0 and not full:
-                    out[row, j] = 0.0
+                    value = 0.0
                 elif axis == 6:
-                    out[row, j] = displacement[k, 10] * w[0] + displacement[k, 11] * w[1]
+                    value = displacement[k, 10] * w[0] + displacement[k, 11] * w[1]
                 else:
-                    out[row, j] = _pick(v, axis) if axis < 3 else _pick(rate, axis - 3)
+                    value = _pick(v, axis) if axis < 3 else _pick(rate, axis - 3)
+                if place < n:
+                    out[row, j] = value
+                else:
+                    out[row, j] += kinematics.multiplier[joint] * value
         first = last
 
 

@@ -112,11 +112,14 @@ def mjcf_of(robot: Robot, scene: Scene, physics: Physics | None = None) -> str:
     world = SubElement(root, "worldbody")
     links, arm = [world], robot.kinematics
     bodies = link_inertias(robot) if physics else []
-    for j, name in enumerate(robot.joint_names):
+    followers = {joint.name: joint for joint in robot.followers}
+    entries = zip(robot.moving_joints, arm.entry, strict=True)
+    for j, (name, entry) in enumerate(entries):
         link = _placed(links[arm.parent[j]], f"link_{j + 1}", arm.rotation[j], arm.translation[j])
         kind = "slide" if arm.prismatic[j] else "hinge"
-        limits = numbers_text(np.r_[arm.lower[j], arm.upper[j]])
-        joint = SubElement(link, "joint", name=name, type=kind, axis="0 0 1", range=limits)
+        joint = SubElement(link, "joint", name=name, type=kind, axis="0 0 1")
+        if name not in followers:
+            joint.set("range", numbers_text(np.r_[arm.lower[entry], arm.upper[entry]]))
         if physics is None:
             SubElement(link, "inertial", pos="0 0 0", mass="1", diaginertia="1 1 1")
         else:
@@ -146,6 +149,16 @@ def mjcf_of(robot: Robot, scene: Scene, physics: Physics | None = None) -> str:
     contact = SubElement(root, "contact")
     for first, second in unchecked_pairs(robot):
         SubElement(contact, "exclude", body1=first, body2=second)
+    equality = SubElement(root, "equality") if followers else root
+    for name, follower in followers.items():
+        SubElement(
+            equality,
+            "joint",
+            joint1=name,
+            joint2=follower.leader,
+            polycoef=numbers_text(np.array([follower.offset, follower.multiplier, 0.0, 0.0, 0.0])),
+            solref="0.004 1",
+        )
     if physics is not None:
         if physics.welded is not None:
             T = T_link_hand @ physics.welded.T_hand_object

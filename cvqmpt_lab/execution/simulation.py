@@ -144,7 +144,8 @@ class Simulation:
         labels = {f"piece_{k}_geom": piece.name for k, piece in enumerate(robot.links)}
         labels |= {f"obstacle_{k}_geom": item.name for k, item in enumerate(scene.obstacles)}
         self.names = [labels.get(model.geom(k).name, LOAD_BODY) for k in range(model.ngeom)]
-        data.qpos[self._q] = q
+        moving = [model.joint(name).qposadr[0] for name in arm.moving_joints]
+        data.qpos[moving] = arm.kinematics.joint_values(q)
         held = {joint.name: joint.value for joint in arm.held_joints}
         for name in physics.fingers:
             data.qpos[model.joint(name).qposadr[0]] = held[name]
@@ -234,7 +235,7 @@ def _fingers(arm: Robot, robot: Robot) -> Mapping[str, str]:
     """Joints of the gripper, each with the joint that it follows, or ""; refuses hinges."""
     names = [name for name in robot.joint_names if name not in arm.joint_names]
     slides = robot.kinematics.prismatic
-    turning = [name for name in names if not slides[robot.joint_names.index(name)]]
+    turning = [name for name in names if not slides[robot.moving_joints.index(name)]]
     if turning or not names:
         what = f"turns {', '.join(turning)}" if turning else "has no fingers that its source locks"
         raise InvalidInputError(

@@ -17,6 +17,7 @@ import numpy as np
 import pinocchio as pin
 
 from cvqmpt_lab.base.errors import InvalidInputError
+from cvqmpt_lab.robot.kinematics import Kinematics
 from cvqmpt_lab.robot.robot import JointLimits, Robot, axis_frames, in_link
 
 
@@ -32,9 +33,13 @@ class Load(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Dynamics:
-    """Rigid-body model of an arm; its loads are parts of the links that carry them."""
+    """Rigid-body model of an arm; its loads are parts of the links that carry them.
+
+    The effort of a planned joint is that of its motor, which also moves the joints that mimic it.
+    """
 
     model: pin.Model
+    kinematics: Kinematics
 
     @staticmethod
     def of(robot: Robot, loads: Iterable[Load] = ()) -> Dynamics | None:
@@ -48,13 +53,15 @@ class Dynamics:
             inertia = pin.Inertia(load.mass, load.centre, load.tensor)
             held = frame.placement * pin.SE3(load.T_hand_object)
             model.appendBodyToJoint(frame.parentJoint, inertia, held)
-        return Dynamics(model)
+        return Dynamics(model, robot.kinematics)
 
     def efforts(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Return efforts tau (k, n) [Nm or N] at q, v = q', a = q'' (k, n)."""
-        data = self.model.createData()
-        rows = zip(*(np.ascontiguousarray(x) for x in (q, v, a)), strict=True)
-        return np.array([pin.rnea(self.model, data, *row) for row in rows]).reshape(np.shape(q))
+        data, k = self.model.createData(), self.kinematics
+        states = k.joint_values(q), k.joint_changes(v), k.joint_changes(a)
+        rows = zip(*(np.ascontiguousarray(x) for x in states), strict=True)
+        found = np.array([pin.rnea(self.model, data, *row) for row in rows])
+        return k.summed(k.multiplier * found.reshape(states[0].shape))
 
     def gravity(self, q: np.ndarray) -> np.ndarray:
         """Return the efforts g(q) (k, n) [Nm or N] that hold the arm still at q (k, n)."""
@@ -85,7 +92,10 @@ class Dynamics:
             places: (k, n) upper bounds of |q| [rad or m].
             rates: (4, k, n) upper bounds of the first to fourth derivatives of q.
         """
-        model, rows = self.model, range(1, self.model.njoints)
+        model, rows, k = self.model, range(1, self.model.njoints), self.kinematics
+        gains = np.abs(k.multiplier)
+        places = gains * places[..., k.entry] + np.abs(k.offset)
+        rates = gains * rates[..., k.entry]
         still = np.zeros((5, rates.shape[1]))
         turns, axes = [still[:4]], [still[:4]]
         moves, arms = [still], [still]
@@ -122,14 +132,15 @@ class Dynamics:
             parent = model.parents[i]
             moments[parent] = moments[parent] + moments[i] + _product(arms[i][:3], forces[i])
             forces[parent] = forces[parent] + forces[i]
-        return found
+        return k.summed(gains * found)
 
 
 def link_inertias(robot: Robot) -> list[tuple[float, np.ndarray, np.ndarray]]:
     """Return mass [kg], centre of mass (3,) [m] and inertia (3, 3) [kg m^2] of each joint's body.
 
-    Bodies of later joints are not included. Vectors are in the joint frames of `Robot.kinematics`,
-    whose z axis is the joint's axis; the inertia is about the centre of mass.
+    Joints that mimic others have one, too. Bodies of later joints are not included. Vectors are in
+    the joint frames of `Robot.kinematics`, whose z axis is the joint's axis; the inertia is about
+    the centre of mass.
     """
     frames = axis_frames(robot.model)
     bodies = [
@@ -143,8 +154,12 @@ def without_effort_limit(robot: Robot) -> str:
     """Return which of the arm's efforts are not limited and why; "" if all are limited."""
     if names := robot.weightless:
         return f"efforts not limited: the URDF states no mass of the links of {', '.join(names)}"
+    own = robot.kinematics.order[: robot.dof]
     stated = zip(
-        robot.joint_names, robot.limits["effort"], robot.model.upperEffortLimit, strict=True
+        robot.joint_names,
+        robot.limits["effort"],
+        np.array(robot.model.upperEffortLimit)[own],
+        strict=True,
     )
     # a door's joint has no motor: its limit is infinite in the model, too
     odd = [f"{name} ({x:g})" for name, limit, x in stated if np.isinf(limit) and np.isfinite(x)]

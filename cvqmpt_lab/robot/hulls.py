@@ -238,8 +238,8 @@ def left_out_pairs(
             reasons[pair] = "adjacent"
         if a == b:
             reasons[pair] = "fixed to each other"
-    lower, upper = model.lowerPositionLimit, model.upperPositionLimit
-    states = np.random.default_rng(0).uniform(lower, upper, (samples, model.nq))
+    lower, upper = kinematics.lower, kinematics.upper
+    states = np.random.default_rng(0).uniform(lower, upper, (samples, len(lower)))
     robot = model, geometry, links, kinematics, pieces
     others = [pair for pair in every if pair not in reasons]
     first = _touching(*robot, others, states[:few], contact)
@@ -292,7 +292,8 @@ def _touching(
         middle, radii[i] = piece.ball
         centres[:, i] = rotations[:, piece.link] @ middle + translations[:, piece.link]
     hits = np.zeros((len(states), len(pairs)), dtype=bool)
-    for hit, q, centre in zip(hits, states, centres, strict=True):
+    values = kinematics.joint_values(states)
+    for hit, q, centre in zip(hits, values, centres, strict=True):
         apart = np.linalg.norm(centre[first] - centre[second], axis=1)
         pin.updateGeometryPlacements(model, data, tested, tested_data, q)
         for k in np.flatnonzero(apart <= radii[first] + radii[second] + margin).tolist():

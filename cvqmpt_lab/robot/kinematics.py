@@ -1,7 +1,8 @@
 """Compiled forward kinematics of a tree of hinges and sliders, on plain arrays.
 
 Every joint turns about, or slides along, the z axis of its frame (`robot.axis_frames`). Row 0 of
-every pose array is the world; joint j (from 0) is row j + 1.
+every pose array is the world; joint j (from 0) is row j + 1. A configuration has one entry for each
+planned joint; a joint that mimics one follows its entry.
 """
 
 from math import factorial
@@ -43,44 +44,74 @@ def sine_and_cosine(angle):
 
 
 class Kinematics(NamedTuple):
-    """A kinematic tree of n joints."""
+    """A kinematic tree of joints, moved by n planned joints; the others mimic one of those.
+
+    Joint j has the value multiplier[j] * q[entry[j]] + offset[j] in configuration q.
+    """
 
     # pose row of the parent frame (0: world, j + 1: joint j)
-    parent: Annotated[np.ndarray, "int64 n"]
-    # rotation of the joint frame in its parent frame at q = 0
-    rotation: Annotated[np.ndarray, "n 3 3"]
-    # origin of the joint frame in its parent frame at q = 0 [m]
-    translation: Annotated[np.ndarray, "n 3"]
-    prismatic: Annotated[np.ndarray, "bool n"]  # True for a slider, False for a hinge
-    lower: Annotated[np.ndarray, "n"]  # joint limit [rad or m]
-    upper: Annotated[np.ndarray, "n"]  # joint limit [rad or m]
-    moves: Annotated[np.ndarray, "bool n p"]  # whether joint j moves pose row k
+    parent: Annotated[np.ndarray, "int64 joints"]
+    # rotation of the joint frame in its parent frame at value 0
+    rotation: Annotated[np.ndarray, "joints 3 3"]
+    # origin of the joint frame in its parent frame at value 0 [m]
+    translation: Annotated[np.ndarray, "joints 3"]
+    prismatic: Annotated[np.ndarray, "bool joints"]  # True for a slider, False for a hinge
+    lower: Annotated[np.ndarray, "n"]  # limit of a planned joint [rad or m]
+    upper: Annotated[np.ndarray, "n"]  # limit of a planned joint [rad or m]
+    moves: Annotated[np.ndarray, "bool joints p"]  # whether joint j moves pose row k
+    entry: Annotated[np.ndarray, "int64 joints"]  # entry of a configuration that moves joint j
+    multiplier: Annotated[np.ndarray, "joints"]  # 1 for a planned joint
+    # -0.0 for a planned joint: adding it changes no bit [rad or m]
+    offset: Annotated[np.ndarray, "joints"]
+    # the n planned joints in the order of configurations, then the joints that mimic them
+    order: Annotated[np.ndarray, "int64 joints"]
+
+    def joint_values(self, q: np.ndarray) -> np.ndarray:
+        """Return the values (..., joints) of all joints at configurations q (..., n)."""
+        if len(self.parent) == len(self.lower):
+            return q
+        return self.joint_changes(q) + self.offset
+
+    def joint_changes(self, change: np.ndarray) -> np.ndarray:
+        """Return changes (..., joints) of all joints for changes or rates (..., n) of q."""
+        if len(self.parent) == len(self.lower):
+            return change
+        return self.multiplier * change[..., self.entry]
+
+    def summed(self, x: np.ndarray) -> np.ndarray:
+        """Return sums (..., n) of x (..., joints) over the joints that each entry of q moves."""
+        n = len(self.lower)
+        total = np.array(x[..., self.order[:n]])
+        for j in self.order[n:]:
+            total[..., self.entry[j]] += x[..., j]
+        return total
 
 
 @kernel(inline="machine")
 def forward_kinematics(kinematics, q, link_rotation, link_translation):
     """Write the pose of every joint frame.
 
-    T_j = T_parent(j) T_joint(j) Rot_z(q_j) for a hinge, T_parent(j) T_joint(j) Trans_z(q_j) for a
-    slider; T_joint(j) consists of `rotation` and `translation` of `Kinematics`.
+    T_j = T_parent(j) T_joint(j) Rot_z(v_j) for a hinge, T_parent(j) T_joint(j) Trans_z(v_j) for a
+    slider of value v_j; T_joint(j) consists of `rotation` and `translation` of `Kinematics`.
 
     Args:
         kinematics: the tree.
         q: configuration (n,) [rad or m].
-        link_rotation: (n + 1, 3, 3), overwritten; row 0 is the world.
-        link_translation: (n + 1, 3) [m], overwritten.
+        link_rotation: (p, 3, 3), p = joints + 1, overwritten; row 0 is the world.
+        link_translation: (p, 3) [m], overwritten.
     """
     turn, offset = kinematics.rotation, kinematics.translation
     for a in range(3):
         link_translation[0, a] = 0.0
         for b in range(3):
             link_rotation[0, a, b] = 1.0 if a == b else 0.0
-    for j in range(q.shape[0]):
+    for j in range(kinematics.parent.shape[0]):
         up = kinematics.parent[j]
+        value = kinematics.multiplier[j] * q[kinematics.entry[j]] + kinematics.offset[j]
         if kinematics.prismatic[j]:
-            cosine, sine, slide = 1.0, 0.0, q[j]
+            cosine, sine, slide = 1.0, 0.0, value
         else:
-            sine, cosine = sine_and_cosine(q[j])
+            sine, cosine = sine_and_cosine(value)
             slide = 0.0
         z0, z1, z2 = turn[j, 0, 2], turn[j, 1, 2], turn[j, 2, 2]
         x0 = cosine * turn[j, 0, 0] + sine * turn[j, 0, 1]
@@ -110,8 +141,8 @@ def write_link_poses(
     Args:
         kinematics: the tree.
         configurations: (count, n) [rad or m].
-        rotations: (count, n + 1, 3, 3), overwritten.
-        translations: (count, n + 1, 3) [m], overwritten.
+        rotations: (count, p, 3, 3), p = joints + 1, overwritten.
+        translations: (count, p, 3) [m], overwritten.
     """
     for i in range(configurations.shape[0]):
         forward_kinematics(kinematics, configurations[i], rotations[i], translations[i])
@@ -121,7 +152,7 @@ def link_poses(kinematics: Kinematics, configurations: np.ndarray) -> tuple[np.n
     """Return the poses of all joint frames at configurations (m, n) [rad or m].
 
     Returns:
-        Rotations (m, n + 1, 3, 3) and translations (m, n + 1, 3) [m].
+        Rotations (m, p, 3, 3) and translations (m, p, 3) [m], p = joints + 1.
     """
     m = len(configurations)
     rows = len(kinematics.parent) + 1

@@ -32,6 +32,7 @@ from cvqmpt_lab.robot.hulls import (
 from cvqmpt_lab.robot.mechanism import ArticulatedObject, with_articulated_object
 from cvqmpt_lab.robot.robot import (
     LIMIT_UNITS,
+    Follower,
     HeldJoint,
     Robot,
     axis_frames,
@@ -81,7 +82,7 @@ def load_robot(
     """Load the arm of revolute and prismatic joints from the base of a URDF to one of its frames.
 
     Continuous joints turn by up to 2 pi either way. A joint outside the chain is held at its value
-    nearest to 0; a joint that mimics it is held at the value that follows from it.
+    nearest to 0. A joint that mimics another one follows it.
 
     Args:
         urdf: path of the URDF file.
@@ -176,17 +177,19 @@ def _built(source: Mapping[str, Any], free: Sequence[str] = ()) -> Robot:
     given = read_source(source)
     read = {path: content_digest(path) for path in (given.urdf, given.srdf) if path}
     urdf = read_urdf(Path(given.urdf))
-    held = held_joints(urdf, given.end_effectors, given.locked, given.base is not None)
+    held, followers = held_joints(urdf, given.end_effectors, given.locked, given.base is not None)
     held = tuple(joint for joint in held if joint.name not in free)
     model, geometry, meshes = _models(urdf, given, held)
+    _limit_leaders(model, urdf, followers)
     axes = axis_frames(model)
-    kinematics = kinematics_arrays(model, axes)
+    kinematics = kinematics_arrays(model, axes, followers)
+    own = kinematics.order[: len(kinematics.lower)]
     # A URDF must state an effort limit. Larger values than any arm's motor has [Nm or N] are
     # placeholders.
-    efforts = np.array(model.upperEffortLimit)
-    placeholder = np.where(kinematics.prismatic, 1e4, 1e3)
+    efforts = np.array(model.upperEffortLimit)[own]
+    placeholder = np.where(kinematics.prismatic[own], 1e4, 1e3)
     plausible = np.where((efforts > 0.0) & (efforts < placeholder), efforts, np.inf)
-    names = list(model.names)[1:]
+    names = [model.names[j + 1] for j in own.tolist()]
     limits = {
         kind: positive_per_joint(kind, values, names, LIMIT_UNITS[kind])
         for kind, values in ((k.removesuffix("_limits"), v) for k, v in given.limits.items())
@@ -209,6 +212,7 @@ def _built(source: Mapping[str, Any], free: Sequence[str] = ()) -> Robot:
         links=tuple(link_geometry(item, axes) for item in geometry.geometryObjects),
         self_collision_pairs=(),
         held_joints=held,
+        followers=followers,
         limits={"effort": plausible, **limits},
         files=tuple({**read, **meshes}.items()),
     )
@@ -226,6 +230,34 @@ def _built(source: Mapping[str, Any], free: Sequence[str] = ()) -> Robot:
     left_out = left_out_pairs(model, geometry, robot.links, robot.kinematics, urdf, given.srdf)
     pairs = checked_pairs(model, geometry, left_out)
     return replace(robot, self_collision_pairs=pairs, left_out_pairs=left_out)
+
+
+def _limit_leaders(model: pin.Model, urdf: Urdf, followers: Sequence[Follower]) -> None:
+    """Narrow the limits of planned joints so that the joints that mimic them keep theirs.
+
+    Limits of a follower that are empty, and a velocity of 0, are placeholders.
+    """
+    for joint in followers:
+        own, leader = urdf.joints[joint.name], model.getJointId(joint.leader) - 1
+        if joint.multiplier == 0.0:
+            continue
+        velocity = model.upperVelocityLimit[model.getJointId(joint.name) - 1]
+        if velocity > 0.0:
+            most = velocity / abs(joint.multiplier)
+            model.upperVelocityLimit[leader] = min(model.upperVelocityLimit[leader], most)
+        if own.kind == "continuous" or not own.lower < own.upper:
+            continue
+        ends = sorted((end - joint.offset) / joint.multiplier for end in (own.lower, own.upper))
+        lower = max(model.lowerPositionLimit[leader], ends[0])
+        upper = min(model.upperPositionLimit[leader], ends[1])
+        if not lower < upper:
+            raise InvalidInputError(
+                f"joint {joint.name!r} of {urdf.path.name} has limits [{own.lower:g}, "
+                f"{own.upper:g}], in which {joint.multiplier:g} * {joint.leader} "
+                f"{joint.offset:+g} never lies: correct its <mimic> or <limit>, or hold it: --lock "
+                f"{joint.leader}={urdf.joints[joint.leader].neutral:g}"
+            )
+        model.lowerPositionLimit[leader], model.upperPositionLimit[leader] = lower, upper
 
 
 def _models(

@@ -115,7 +115,7 @@ def with_articulated_object(robot: Robot, item: ArticulatedObject) -> Robot:
         source={**robot.source, "articulated": to_plain(item)},
         model=model,
         collision_model=geometry,
-        kinematics=kinematics_arrays(model, frames),
+        kinematics=kinematics_arrays(model, frames, robot.followers),
         links=(*robot.links, *(link_geometry(objects[k], frames) for k in (*parts, *casing))),
         self_collision_pairs=(*robot.self_collision_pairs, *pairs),
         left_out_pairs=(*robot.left_out_pairs, *left_out),
@@ -130,7 +130,7 @@ def _check_names(robot: Robot, item: ArticulatedObject) -> None:
         )
     pieces = [piece.name for piece in robot.links]
     parts = [part.name for part in item.parts]
-    known = {*pieces, *robot.frame_names, *robot.joint_names}
+    known = {*pieces, *robot.frame_names, *robot.moving_joints}
     for name in (item.name, *(part.name for part in (*item.parts, *item.casing))):
         if name in known:
             raise InvalidInputError(

@@ -32,6 +32,15 @@ class HeldJoint(NamedTuple):
     reason: str  # why planning does not move it
 
 
+class Follower(NamedTuple):
+    """A joint that mimics a planned joint: it has the value multiplier * leader + offset."""
+
+    name: str
+    leader: str  # the planned joint; in chains of joints that mimic others, the first one
+    multiplier: float  # product of those of a chain
+    offset: float  # [rad or m]
+
+
 class LeftOut(NamedTuple):
     """Pair of links, or of a link and a piece of a door, that is not checked; and the reason.
 
@@ -157,14 +166,15 @@ def positive_per_joint(
 
 @dataclass(frozen=True, eq=False)
 class Robot:
-    """A tree of n joints of one degree of freedom: an arm, or an arm and the door that it moves.
+    """A tree with n planned joints: an arm, or an arm and the door that it moves.
 
-    Robots are made by `panda`, `load_robot` or `with_articulated_object`.
+    Further joints may mimic planned ones: `followers`. Robots are made by `panda`, `load_robot` or
+    `with_articulated_object`.
     """
 
     name: str
     source: dict  # field "robot" of a problem file that loads this robot again
-    model: pin.Model
+    model: pin.Model  # of all joints, followers included; see `Kinematics.joint_values`
     collision_model: pin.GeometryModel  # meshes replaced by their convex hulls
     # frames of constraints and goals, by name: pose row of the link, T_link_frame (4, 4). A region
     # without a frame refers to the first one.
@@ -175,6 +185,7 @@ class Robot:
     self_collision_pairs: tuple[tuple[int, int], ...]
     left_out_pairs: tuple[LeftOut, ...] = ()
     held_joints: tuple[HeldJoint, ...] = ()  # joints of the URDF that planning does not move
+    followers: tuple[Follower, ...] = ()  # joints that mimic planned joints
     # (n,) each, by the field's name in `JointLimits`; unknown ones and velocity are left out
     limits: Mapping[str, np.ndarray] = field(default_factory=dict)
     files: tuple[tuple[str, str], ...] = ()  # path and sha256 of each source file
@@ -209,12 +220,18 @@ class Robot:
 
     @property
     def dof(self) -> int:
-        """Number of joints n."""
-        return self.model.nq
+        """Number of planned joints n."""
+        return len(self.kinematics.lower)
 
     @property
     def joint_names(self) -> tuple[str, ...]:
-        """Names of the n moving joints, in configuration order."""
+        """Names of the n planned joints, in configuration order."""
+        names = self.moving_joints
+        return tuple(names[j] for j in self.kinematics.order[: self.dof])
+
+    @property
+    def moving_joints(self) -> tuple[str, ...]:
+        """Names of all joints that move, followers included, in the order of `kinematics`."""
         return tuple(self.model.names)[1:]
 
     @property
@@ -228,15 +245,32 @@ class Robot:
         return self.kinematics.upper
 
     @cached_property
+    def turns_freely(self) -> np.ndarray:
+        """(n,) bool: planned hinges whose whole turns change no pose: no other joint follows."""
+        k = self.kinematics
+        return frozen(~k.prismatic[k.order[: self.dof]] & (np.bincount(k.entry) == 1))
+
+    @cached_property
     def turning(self) -> np.ndarray:
-        """(n,) bool: joints whose range is more than one turn."""
-        return frozen(~self.kinematics.prismatic & (self.upper - self.lower > 2.0 * np.pi))
+        """(n,) bool: joints that turn freely by more than one turn."""
+        return frozen(self.turns_freely & (self.upper - self.lower > 2.0 * np.pi))
+
+    def movers(self, row: int) -> np.ndarray:
+        """Return (n,) bool: the planned joints that move a pose row, followers included."""
+        k = self.kinematics
+        return np.isin(np.arange(self.dof), k.entry[k.moves[:, row]])
+
+    @property
+    def velocity_limits(self) -> np.ndarray:
+        """Velocity limits (n,) of the planned joints [rad/s or m/s]; 0 or inf where unknown."""
+        return np.array(self.model.upperVelocityLimit)[self.kinematics.order[: self.dof]]
 
     @property
     def weightless(self) -> list[str]:
         """Joints of the arm whose link has no mass in the URDF; their efforts are unknown."""
-        arm = self.dof - ("articulated" in self.source)
-        bodies = zip(self.joint_names[:arm], list(self.model.inertias)[1:], strict=False)
+        names = self.moving_joints
+        arm = len(names) - ("articulated" in self.source)
+        bodies = zip(names[:arm], list(self.model.inertias)[1:], strict=False)
         return [name for name, body in bodies if body.mass <= 0.0]
 
     @property
@@ -248,8 +282,7 @@ class Robot:
                 "load_robot(..., acceleration_limits=...), on the command line --acceleration, "
                 "in a problem file 'acceleration_limits' of 'robot'"
             )
-        velocity = np.array(self.model.upperVelocityLimit)
-        return JointLimits(self.joint_names, velocity, **self.limits)
+        return JointLimits(self.joint_names, self.velocity_limits, **self.limits)
 
     @cached_property
     def kinematics_digest(self) -> str:
@@ -260,6 +293,7 @@ class Robot:
             # rounding errors of processors must not change the digest; + 0.0 turns -0.0 into 0.0
             rounded = np.round(array.astype(np.float64), 9) + 0.0
             digest.update(rounded.astype("<f8").tobytes())
+        digest.update("".join(map(str, self.followers)).encode())
         return digest.hexdigest()[:32]
 
     @cached_property
@@ -267,13 +301,12 @@ class Robot:
         """Radius [m] of a ball around the base that contains all moving links and end effectors.
 
         The origin of joint j is at most |t_j| farther from the base than its parent's origin, for
-        a prismatic joint |t_j| + max(|lower|, |upper|).
+        a prismatic joint |t_j| and its largest value.
         """
-        k = self.kinematics
-        distance = np.zeros(self.dof + 1)
-        for j in range(self.dof):
-            slide = max(abs(k.lower[j]), abs(k.upper[j])) if k.prismatic[j] else 0.0
-            distance[j + 1] = distance[k.parent[j]] + np.linalg.norm(k.translation[j]) + slide
+        k, slides = self.kinematics, self._slides
+        distance = np.zeros(len(k.parent) + 1)
+        for j in range(len(k.parent)):
+            distance[j + 1] = distance[k.parent[j]] + np.linalg.norm(k.translation[j]) + slides[j]
         ends = [distance[row] + np.linalg.norm(T[:3, 3]) for row, T in self.end_effectors.values()]
         ends += [
             distance[piece.link] + np.linalg.norm(piece.vertices_in_link, axis=1).max()
@@ -289,18 +322,38 @@ class Robot:
 
         carried: radius [m] of a ball around each end effector that contains its load.
         """
-        k = self.kinematics
-        far = np.zeros(self.dof + 1)
+        far = np.zeros(len(self.kinematics.parent) + 1)
         for link, T in self.end_effectors.values():
             far[link] = max(far[link], np.linalg.norm(T[:3, 3]) + carried)
         for piece in self.links:
             corners = np.linalg.norm(piece.vertices_in_link, axis=1).max()
             far[piece.link] = max(far[piece.link], corners)
-        slides = np.where(k.prismatic, np.maximum(np.abs(k.lower), np.abs(k.upper)), 0.0)
-        for j in reversed(range(self.dof)):
-            beyond = np.linalg.norm(k.translation[j]) + slides[j] + far[j + 1]
-            far[k.parent[j]] = max(far[k.parent[j]], beyond)
-        return np.where(k.prismatic, 1.0, far[1:])
+        return self.speeds_from(far)
+
+    def speeds_from(self, extent: np.ndarray) -> np.ndarray:
+        """Return bounds (n,) of any point's speed per unit speed of each planned joint.
+
+        extent: (p,) distance [m] from the origin of each pose row to the farthest point fixed to
+            it; overwritten by that to the farthest point that it moves.
+        """
+        k, slides = self.kinematics, self._slides
+        for j in reversed(range(len(k.parent))):
+            step = np.linalg.norm(k.translation[j]) + slides[j]
+            extent[k.parent[j]] = max(extent[k.parent[j]], step + extent[j + 1])
+        return k.summed(np.abs(k.multiplier) * np.where(k.prismatic, 1.0, extent[1:]))
+
+    @property
+    def _slides(self) -> np.ndarray:
+        """Largest distances (joints,) that sliders move from their zero [m]; 0 of hinges."""
+        k = self.kinematics
+        ends = np.abs(k.joint_values(np.stack([k.lower, k.upper])))
+        return np.where(k.prismatic, ends.max(axis=0), 0.0)
+
+    @property
+    def turn_rate(self) -> float:
+        """Bound of any link's turn where each planned joint moves by 1 [rad]."""
+        k = self.kinematics
+        return float(np.abs(k.multiplier[~k.prismatic]).sum())
 
     def pose(self, q: np.ndarray, frame: str | None = None) -> np.ndarray:
         """Return T_world_frame (4, 4) of the end effector or a body frame at q (n,) [rad or m]."""
@@ -316,7 +369,8 @@ class Robot:
         frame_id = self.model.getFrameId(name, pin.FrameType.BODY)
         poses = np.empty((len(q), 4, 4))
         data = self.model.createData()
-        for T, row in zip(poses, np.asarray(q, dtype=float), strict=True):
+        values = self.kinematics.joint_values(np.asarray(q, dtype=float))
+        for T, row in zip(poses, values, strict=True):
             pin.forwardKinematics(self.model, data, row)
             T[:] = pin.updateFramePlacement(self.model, data, frame_id).homogeneous
         return poses
@@ -365,9 +419,24 @@ def axis_frames(model: pin.Model) -> list[np.ndarray]:
     return frames
 
 
-def kinematics_arrays(model: pin.Model, frames: list[np.ndarray]) -> Kinematics:
-    """Return a model's arrays for the kernels; frames: result of `axis_frames`."""
-    n = model.nq
+def kinematics_arrays(
+    model: pin.Model, frames: list[np.ndarray], followers: Sequence[Follower] = ()
+) -> Kinematics:
+    """Return a model's arrays for the kernels.
+
+    Args:
+        model: pinocchio's model of all joints.
+        frames: result of `axis_frames`.
+        followers: joints of the model that mimic others.
+    """
+    n, names = model.nq, list(model.names)[1:]
+    leaders = {joint.name: joint.leader for joint in followers}
+    own = [j for j, name in enumerate(names) if name not in leaders]
+    entries = {names[j]: entry for entry, j in enumerate(own)}
+    multiplier, offset = np.ones(n), np.full(n, -0.0)
+    for joint in followers:
+        j = names.index(joint.name)
+        multiplier[j], offset[j] = joint.multiplier, joint.offset
     parent = np.array([model.parents[j + 1] for j in range(n)], dtype=np.int64)
     rotation, translation = np.empty((n, 3, 3)), np.empty((n, 3))
     moves = np.zeros((n, n + 1), dtype=bool)
@@ -383,9 +452,13 @@ def kinematics_arrays(model: pin.Model, frames: list[np.ndarray]) -> Kinematics:
         rotation=rotation,
         translation=translation,
         prismatic=np.array([kind.startswith("JointModelP") for kind in kinds]),
-        lower=np.array(model.lowerPositionLimit),
-        upper=np.array(model.upperPositionLimit),
+        lower=np.array(model.lowerPositionLimit)[own],
+        upper=np.array(model.upperPositionLimit)[own],
         moves=moves,
+        entry=np.array([entries[leaders.get(name, name)] for name in names], dtype=np.int64),
+        multiplier=multiplier,
+        offset=offset,
+        order=np.array(own + [names.index(name) for name in leaders], dtype=np.int64),
     )
 
 

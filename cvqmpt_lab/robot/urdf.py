@@ -5,6 +5,7 @@ planning needs are checked here first; a malformed file gives an error of one li
 """
 
 import copy
+import logging
 import math
 import re
 import xml.etree.ElementTree as ElementTree
@@ -24,7 +25,9 @@ from cvqmpt_lab.base.errors import (
 )
 from cvqmpt_lab.base.files import read_text
 from cvqmpt_lab.base.values import FULL_TURN_RAD, scalar
-from cvqmpt_lab.robot.robot import HeldJoint
+from cvqmpt_lab.robot.robot import Follower, HeldJoint
+
+log = logging.getLogger("cvqmpt")
 
 
 @dataclass(frozen=True)
@@ -157,6 +160,11 @@ def _joint(element: ElementTree.Element, path: Path, most_turn: float = 1e5) -> 
             multiplier=number(mimic, "multiplier", 1.0),
             offset=number(mimic, "offset", 0.0),
         )
+        if not (math.isfinite(joint.multiplier) and math.isfinite(joint.offset)):
+            raise InvalidInputError(
+                f"its <mimic> has multiplier {joint.multiplier} and offset {joint.offset}; give "
+                "finite numbers"
+            )
         turns = [abs(end) for end in (joint.lower, joint.upper) if math.isfinite(end)]
         if joint.kind == "revolute" and max(turns, default=0.0) > most_turn:
             raise InvalidInputError(
@@ -207,8 +215,11 @@ def _listed(names: Sequence[str], most: int = 8) -> str:
 
 def held_joints(
     urdf: Urdf, end_effectors: Sequence[str], locked: Mapping[str, float], base_given: bool
-) -> tuple[HeldJoint, ...]:
-    """Return the joints that planning does not move: locked ones, and those outside the chains.
+) -> tuple[tuple[HeldJoint, ...], tuple[Follower, ...]]:
+    """Return the joints that planning does not move, and those that follow a planned joint.
+
+    Planned are the joints of the chains from the base to the end effectors, and the joints that
+    those mimic. Locked joints and all others are held.
 
     Args:
         urdf: content of the URDF.
@@ -217,7 +228,7 @@ def held_joints(
         base_given: whether the pose of the base is given; floating joints are then held, too.
 
     Returns:
-        The joints in the order of the file.
+        Both kinds of joints in the order of the file.
 
     Raises:
         UnknownChoiceError: the URDF has no link or joint of this name.
@@ -239,23 +250,40 @@ def held_joints(
         held[name] = HeldJoint(name, number, LOCKED)
     chains = {name: {joint.name for joint in urdf.chain(name)} for name in end_effectors}
     chain = set[str]().union(*chains.values())
-    free = [joint for name, joint in movable.items() if name not in held]
+    free = {name: joint for name, joint in movable.items() if name not in held}
+    follows = {
+        name: _followed(urdf, name, held)
+        for name, joint in free.items()
+        if joint.mimics is not None
+    }
+    planned = {follows[name].leader if name in follows else name for name in chain}
+    followers = dict[str, Follower]()
     # joints that mimic come last: the joint that they follow decides whether they are held
-    for joint in sorted(free, key=lambda joint: joint.mimics is not None):
-        leader = held.get(joint.mimics or "")
-        off_chain = joint.name not in chain
-        if joint.mimics is not None and off_chain and (leader or joint.mimics not in chain):
-            value, reason = joint.neutral, f"mimics {joint.mimics}"
-            if leader is not None:
-                value = joint.multiplier * leader.value + joint.offset
-        elif joint.mimics is None and off_chain:
-            value, reason = joint.neutral, "not between the base and the end effector"
-        elif joint.mimics is None and joint.kind == "floating" and base_given:
-            value, reason = 0.0, "the base is given"
-        else:
-            continue
-        held[joint.name] = HeldJoint(joint.name, value, reason)
-    offending = [joint for joint in free if joint.name not in held and joint.immovable_reason]
+    for name, joint in sorted(free.items(), key=lambda item: item[0] in follows):
+        if name in follows:
+            found = follows[name]
+            leader = held.get(found.leader)
+            turns_or_slides = joint.kind in ("revolute", "prismatic", "continuous")
+            if found.leader in planned & free.keys() and turns_or_slides and leader is None:
+                followers[name] = found
+                continue
+            lost = found.leader not in urdf.joints
+            if (lost and name in chain) or (leader is None and found.leader in free):
+                continue
+            value = found.multiplier * (leader.value if leader else 0.0) + found.offset
+            if lost:  # nothing moves it, and nothing says where it stands
+                value = joint.neutral
+            held[name] = HeldJoint(name, value, f"mimics {joint.mimics}")
+        elif name not in planned:
+            reason = "not between the base and the end effector"
+            held[name] = HeldJoint(name, joint.neutral, reason)
+        elif joint.kind == "floating" and base_given:
+            held[name] = HeldJoint(name, 0.0, "the base is given")
+    left = [joint for name, joint in free.items() if name not in held and name not in followers]
+    offending = [joint for joint in left if joint.immovable_reason]
+    # a joint follows when the joint that it mimics is held
+    wrong = {joint.name for joint in offending if joint.name not in follows}
+    offending = [j for j in offending if j.name in wrong or follows[j.name].leader not in wrong]
     if offending:
         floats = any(joint.kind == "floating" for joint in offending)
         raise InvalidInputError(
@@ -271,7 +299,56 @@ def held_joints(
                 f"no joint of {urdf.path.name} moves {end_effector!r}; end effectors it may have: "
                 + ", ".join(urdf.likely_end_effectors())
             )
-    return tuple(held[name] for name in movable if name in held)
+    for name in locked:
+        _warn_of_lock(urdf, held[name], {k: joint for k, joint in held.items() if k != name})
+    return (
+        tuple(held[name] for name in movable if name in held),
+        tuple(followers[name] for name in movable if name in followers),
+    )
+
+
+def _warn_of_lock(urdf: Urdf, lock: HeldJoint, held: Mapping[str, HeldJoint]) -> None:
+    """Warn where a locked joint would have another value by its <mimic>.
+
+    held: the other joints that are held.
+    """
+    joint = urdf.joints[lock.name]
+    if joint.mimics is None or joint.mimics not in urdf.joints:
+        return
+    found = _followed(urdf, lock.name, held)
+    leader = held.get(found.leader)
+    follows = f"{found.multiplier:g} * {found.leader} {found.offset:+g}"
+    if leader is None:
+        instead = f"follow {follows}"
+    elif abs(found.multiplier * leader.value + found.offset - lock.value) > 1e-6:
+        instead = f"stand at {follows} = {found.multiplier * leader.value + found.offset:g}"
+    else:
+        return
+    log.warning(
+        f"{urdf.path.name}: joint {lock.name!r} is locked at {lock.value:g}, where its link "
+        f"{joint.child!r} stays; without this lock it would {instead}"
+    )
+
+
+def _followed(urdf: Urdf, name: str, held: Mapping[str, HeldJoint]) -> Follower:
+    """Return what a mimicking joint follows: the first joint of the chain that mimics none.
+
+    A joint in `held` ends the chain, too.
+    """
+    joint, multiplier, offset, seen = urdf.joints[name], 1.0, 0.0, [name]
+    while joint.mimics is not None and (joint.name not in held):
+        offset += multiplier * joint.offset
+        multiplier *= joint.multiplier
+        if joint.mimics in seen:
+            raise InvalidInputError(
+                f"joints of {urdf.path.name} mimic each other in a circle: "
+                f"{' -> '.join([*seen, joint.mimics])}; remove one <mimic>"
+            )
+        seen.append(joint.mimics)
+        if joint.mimics not in urdf.joints:
+            break
+        joint = urdf.joints[joint.mimics]
+    return Follower(name, seen[-1], multiplier, offset)
 
 
 def one_coordinate_a_joint(urdf: Urdf) -> ElementTree.Element:

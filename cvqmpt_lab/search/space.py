@@ -233,7 +233,7 @@ class ConstrainedSpace:
             swing=robot_swing(robot, attachments),
             counters=np.zeros(8, dtype=np.int64),
             state=np.zeros(n),
-            scratch=projection_scratch(n, regions),
+            scratch=projection_scratch(robot.kinematics, regions),
             called=self._calls is not None,
             project_call=addresses[0],
             chord_call=addresses[1],

@@ -190,7 +190,7 @@ def constraint_marks(
     for region in problem.constraint:
         if isinstance(region, TaskSpaceRegionChain):
             # one joint: that of a door; a region attached to the other hand is not drawn
-            moved = np.flatnonzero(robot.kinematics.moves[:, region.links(robot)[0][0]])
+            moved = np.flatnonzero(robot.movers(region.links(robot)[0][0]))
             if len(moved) == 1:
                 swept = np.repeat(states[:1], 40, axis=0)
                 swept[:, moved] = np.linspace(robot.lower[moved], robot.upper[moved], 40)

@@ -187,6 +187,12 @@ def _describe(recipe: SceneRecipe, out: Path, command: list[str]) -> None:
 def serial_chain(robot: Robot) -> SerialChain:
     """Return a robot's kinematics as a chain, with points at all joints but the first, and hand."""
     kinematics = robot.kinematics
+    if robot.followers:
+        names = ", ".join(joint.name for joint in robot.followers)
+        raise InvalidInputError(
+            f"robot {robot.name}: {names} mimic planned joints, which no network follows: lock the "
+            "joints that they mimic, or plan without a network"
+        )
     hand, T = robot.end_effector_link
     offsets = np.zeros((robot.dof, 3))
     offsets[-1] = T[:3, 3]

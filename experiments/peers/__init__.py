@@ -26,6 +26,16 @@ def versions(planner: str, *distributions: str) -> str:
         ) from error
 
 
+def require_no_followers(problem: PlanningProblem) -> None:
+    """Refuse joints that mimic planned joints: adapters do not translate them."""
+    if problem.robot.followers:
+        names = ", ".join(joint.name for joint in problem.robot.followers)
+        raise InvalidInputError(
+            f"{problem.name}: {names} mimic planned joints, which this adapter does not translate; "
+            "take a planner of ours, such as birrt"
+        )
+
+
 def upright_region(problem: PlanningProblem) -> TaskSpaceRegion:
     """The region of a problem that bounds rotation y and z of the hand by +-b, and nothing else.
 
@@ -33,6 +43,7 @@ def upright_region(problem: PlanningProblem) -> TaskSpaceRegion:
 
     InvalidInputError: other constraints, several goals, a load, which adapters do not translate.
     """
+    require_no_followers(problem)
     region = problem.constraint[0] if len(problem.constraint) == 1 else None
     if region is not None and region.bounded_rows.tolist() == [6]:
         turn = np.eye(4)[:, [2, 0, 1, 3]]
@@ -72,6 +83,7 @@ def fixed_holds(problem: PlanningProblem) -> list[TaskSpaceRegionChain]:
 
     InvalidInputError: one leaves freedom, which no adapter translates.
     """
+    require_no_followers(problem)
     found = [part for part in problem.constraint if isinstance(part, TaskSpaceRegionChain)]
     for part in found:
         if part.bounds[:6].any() or part.tilt is not None:

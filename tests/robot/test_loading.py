@@ -96,13 +96,11 @@ def test_all_joints_that_cannot_be_planned_for_are_named_with_their_options(edit
         MIMIC,
     )
     pattern = (
-        r"'rail' has limits \[0.7, 0.7\], 'lift' is floating, 'bend' is planar, 'twist' mimics "
-        r"bend; hold them: --lock rail=0.7 --lock lift=0 --lock bend=0 --lock twist=0, or place"
+        r"'rail' has limits \[0.7, 0.7\], 'lift' is floating, 'bend' is planar; hold them: --lock "
+        r"rail=0.7 --lock lift=0 --lock bend=0, or place"
     )
     refused(pattern, load_robot, urdf, "tool")
     locked = {"rail": 0.7, "lift": 0.0, "bend": 0.0}
-    refused("'twist' mimics bend", load_robot, urdf, "tool", locked=locked)
-    locked["twist"] = 0.0
     refused("no joint of arm.urdf moves 'tool'", load_robot, urdf, "tool", locked=locked)
 
 
