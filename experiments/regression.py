@@ -10,7 +10,6 @@ import platform
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
-from numbers import Real
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,6 +17,7 @@ import numpy as np
 
 from cvqmpt_lab.base.errors import CvqmptError, InvalidInputError, require_kind, whole_number
 from cvqmpt_lab.base.files import read_json_object, write_text
+from cvqmpt_lab.base.values import scalar
 from cvqmpt_lab.benchmarks.suite import folder_suite, suite_named
 from cvqmpt_lab.experiments.experiment import Experiment
 from cvqmpt_lab.experiments.run import executor_for, result_row, run_experiment
@@ -126,7 +126,7 @@ class Expectations(NamedTuple):
                 require_kind("planner", case.planner, str)
                 outcomes[case] = {column: values[column] for column in GUARDED_COLUMNS}
                 for column in (*COUNTS, "path_length_rad"):
-                    require_kind(column, values[column] or 0.0, Real)
+                    scalar(float, values[column] or 0.0, column)
             if not outcomes:
                 raise ValueError("no runs")
             return Expectations(dict(record["made_with"]), outcomes)
@@ -235,7 +235,7 @@ def _out_of_bounds(pairs: Sequence[tuple[Case, Values, Values]], within: float) 
     for planner, both in grouped(equal).items():
         for column in (*COUNTS, "path_length_rad"):
             before, after = (sum(side[i][column] or 0 for side in both) for i in (0, 1))
-            if abs(after - before) > within * before:
+            if not abs(after - before) <= within * before:
                 found.append(
                     f"{planner}, {column} of {len(both)} runs: was {before:g}, is {after:g}"
                 )

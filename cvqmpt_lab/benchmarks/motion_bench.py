@@ -42,12 +42,15 @@ from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.moveit_scenes import scene_of_yaml
 
 BENCH_ARCHIVE = "vamp_planner-0.6.4.tar.gz"
-# sha256 of the archive, and of the problems of each robot in it
+# sha256 of the archive, of each robot's problems in it, and of the listing of each robot's files
 BENCH_DIGESTS: Mapping[str, str] = {
     BENCH_ARCHIVE: "d3150c6b67ff941af9ad56480b31d3fb73b12211ea21dc684f7737b059f6daba",
     "panda": "4e1509e99c53da769ee6a338cf1173ecf601e4ec16f24081d3894ef358243b69",
     "ur5": "576c199b30a0150d176362207494e6f3e409eb74c55f5225e671a00decfcb5b0",
     "fetch": "8f5d7a38acbd56326ba75b48c2a0058abc8ec7eaf0f5ea9786a881d1efbfacce",
+    "panda/": "1eaa19a50e41030ea8eda4ee4212fcecbe8fce35c73a1d5ca910b394dc776eb1",
+    "ur5/": "bef9b4b6c934ec06af0dfe700b888e3b7d77fb2711b9e1e615364c30910b87dc",
+    "fetch/": "205bbb2bbf6e325b0f3744304dd707968902fafa545e187e5c1d3ac882df4ce4",
 }
 BENCH_HANDS = {"panda": "panda_hand", "ur5": "tool0", "fetch": "gripper_link"}  # end effectors
 
@@ -189,6 +192,17 @@ def robot_file(robot: str, name: str) -> Path:
     return path
 
 
+def _listing(folder: Path) -> bytes:
+    """Return a line for each file of a robot: its sha256 and its path; problems are left out."""
+    paths = {path.relative_to(folder).as_posix(): path for path in folder.rglob("*")}
+    lines = [
+        f"{hashlib.sha256(read_bytes(path, 'robot')).hexdigest()}  {name}\n"
+        for name, path in sorted(paths.items())
+        if not path.is_dir() and name != "problems.tar.bz2"
+    ]
+    return "".join(lines).encode()
+
+
 def motion_bench_problem(index: int) -> PlanningProblem | UnsolvableProblem:
     """Return problem index % 100 of set index // 100 % 7 of robot index // 700.
 
@@ -220,7 +234,13 @@ def motion_bench_problem(index: int) -> PlanningProblem | UnsolvableProblem:
 
 @lru_cache(maxsize=8)
 def bench_robot(robot: str) -> Robot:
-    """Return a robot as the archive describes it."""
+    """Return a robot as the archive describes it.
+
+    Raises:
+        InvalidInputError: it was not fetched, or its files differ from those of the archive.
+    """
+    folder = robot_file(robot, f"{robot}.urdf").parent
+    require_digest(_listing(folder), f"{robot}/", folder)
     urdf, srdf = (str(robot_file(robot, f"{robot}.{end}")) for end in ("urdf", "srdf"))
     return robot_from_source({"urdf": urdf, "srdf": srdf, "end_effector": BENCH_HANDS[robot]})
 

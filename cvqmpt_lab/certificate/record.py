@@ -53,7 +53,12 @@ def record(problem: PlanningProblem, motion: Motion, found: DryRun) -> dict[str,
             moved.update(f"{values.shape}".encode())
             moved.update(np.ascontiguousarray(values, dtype="<f8").tobytes())
     # the problem's JSON leaves out fields with their default value
-    stated = json.dumps(problem.to_dict(), sort_keys=True) + problem.robot.kinematics_digest
+    robot = problem.robot
+    stated = hashlib.sha256(json.dumps(problem.to_dict(), sort_keys=True).encode())
+    stated.update(robot.kinematics_digest.encode())
+    # the json names the robot's file; shapes, masses and limits are in that file and its meshes
+    for _, sha256 in robot.files:
+        stated.update(sha256.encode())
     numbers = {
         "max_violation_rad": certificate.max_violation_rad,
         "max_violation_m": certificate.max_violation_m,
@@ -70,7 +75,7 @@ def record(problem: PlanningProblem, motion: Motion, found: DryRun) -> dict[str,
     return {
         "version": version("cvqmpt-lab"),
         "problem": problem.name,
-        "problem_sha256": hashlib.sha256(stated.encode()).hexdigest(),
+        "problem_sha256": stated.hexdigest(),
         "motion_sha256": moved.hexdigest(),
         "valid": certificate.valid,
         "verdict": str(certificate.verdict),

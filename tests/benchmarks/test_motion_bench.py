@@ -16,6 +16,7 @@ from cvqmpt_lab.benchmarks.motion_bench import (
     BENCH_ARCHIVE,
     BENCH_DIGESTS,
     BENCH_HANDS,
+    bench_robot,
     fetch,
     level_problem,
     motion_bench_problem,
@@ -142,6 +143,9 @@ def test_problems_that_were_not_fetched_or_have_changed_are_refused(empty_cache,
     unpack(path, empty_cache / "robots")
     said = command_refused(capsys, "problems", "list", "motion-bench")
     assert "problems.tar.bz2 is changed or cut" in said and BENCH_DIGESTS["panda"] in said
+    # robots were used as they lay in the cache
+    told = f"robots/ur5 is changed or cut: .*{BENCH_DIGESTS['ur5/']}; delete it"
+    refused(told, bench_robot, "ur5")
 
 
 def test_what_pip_says_is_told_in_one_line(empty_cache, tmp_path, monkeypatch):

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from command_line import refused
 from numpy.polynomial import Polynomial
+from refusals import DATA
 
 from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.benchmarks.place_task import SHELF_DOOR, carried_can
@@ -18,6 +19,7 @@ from cvqmpt_lab.experiments.run import executor_for, run_experiment
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.row import RUNS_FILE, read_rows, write_rows
 from cvqmpt_lab.results.store import PATHS_FILE, states_hash, stored_paths
+from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, Sphere
 from cvqmpt_lab.search.result import Budget, JointPath
@@ -343,3 +345,20 @@ def test_every_path_of_a_run_is_judged_again_from_its_rows(tmp_path, cvqmpt, cap
     assert "2 birrt seed 0: its path is not kept" in capsys.readouterr().err
     (tmp_path / PATHS_FILE).write_bytes(b"PK" + 50 * b"x")
     assert "paths.npz is damaged" in refused(capsys, "certify", tmp_path)
+
+
+def test_the_digest_of_a_problem_is_also_of_the_bodies_in_its_robot_file(tmp_path, cvqmpt):
+    """The json names the file of a robot; an arm with thinner links had the same digest."""
+    text = (DATA / "slider_arm.urdf").read_text()
+    path, digests = tmp_path / "arm.urdf", []
+    path.write_text(text)
+    robot = robot_from_source({"urdf": str(path), "end_effector": "tool"})
+    start = 0.5 * (robot.lower + robot.upper)
+    problem = PlanningProblem("p", robot, Scene("s", ()), start=start, goals=start[None] + 0.01)
+    problem.save(tmp_path / "p.json")
+    save(tmp_path / "path.csv", [start, start + 0.01])
+    for content in (text, text.replace('radius="0.0', 'radius="0.00'), text):
+        path.write_text(content)
+        words = [tmp_path / "path.csv", "--problem-file", tmp_path / "p.json", "--json"]
+        digests.append(json.loads(cvqmpt("certify", *words))["problem_sha256"])
+    assert digests[0] == digests[2] != digests[1]

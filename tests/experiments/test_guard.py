@@ -51,6 +51,12 @@ def test_a_folder_is_green_until_a_planner_or_problem_changes(folder, cvqmpt, ca
     path.write_text(json.dumps(record))
     cvqmpt(check)
     assert "n_state_checks of 2 runs: was" in cvqmpt(check, "--within", 0, code=1)
+    for column in ("n_state_checks", "path_length_rad"):
+        kept, first["expected"][column] = first["expected"][column], float("nan")
+        path.write_text(json.dumps(record))  # a sum that is NaN was within all bounds
+        assert f"{column} is nan; it must be a finite float" in refused(capsys, *check.split())
+        first["expected"][column] = kept
+    path.write_text(json.dumps(record))
     place_problem(5).save(folder / "5.json")
     told = cvqmpt(check, code=1)
     assert "problem 5 of the folder, seed 0, 20000 iterations: either expected or run" in told
