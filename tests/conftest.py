@@ -32,7 +32,7 @@ pytest_plugins = ["promises"]
 
 @pytest.fixture(scope="session")
 def part(request):
-    """Cases of a large comparison: `count` of them, evenly spread, or all with --long."""
+    """Return `count` evenly spread cases of a large comparison, or all cases with --long."""
 
     def chosen(cases, count):
         return cases if request.config.getoption("--long") else cases[:: len(cases) // count]
@@ -78,7 +78,7 @@ def published_states():
 
 @pytest.fixture
 def published(tmp_path, published_states):
-    """Writes folders like the published ones, with changes name=value, and returns them."""
+    """Write folders like the published ones, with changes name=value, and return their paths."""
     from published_files import write_published
 
     return partial(write_published, tmp_path, published_states)
@@ -119,7 +119,7 @@ CAMERA = Camera(LENS, look_at((-0.4, 0.3, 1.2), (0.6, 0.0, 0.0)))
 
 @pytest.fixture(scope="session")
 def scan_view(panda):
-    """What a depth camera sees of a table, a post, a crate and the arm at the start."""
+    """A depth camera's view of a table, a post, a crate and the arm at the start."""
     arm = arm_objects(panda, np.fromstring(SCAN_START, sep=","))
     return view_of(solids_of((*OBJECTS, *arm)), CAMERA)
 
@@ -135,7 +135,7 @@ def scan_folder(tmp_path_factory, scan_view):
 
 @pytest.fixture
 def cvqmpt(capsys):
-    """Runs `cvqmpt WORDS` in this process to its end, which must be `code`; gives its output."""
+    """Run `cvqmpt WORDS` in this process, which must end with `code`; return the output."""
 
     def output(words, *more, code=0):
         capsys.readouterr()

@@ -1,4 +1,4 @@
-"""The certificate: it accepts a planned path and rejects every kind of broken one."""
+"""The certificate accepts a planned path and rejects every kind of invalid path."""
 
 import time
 from dataclasses import replace
@@ -29,7 +29,7 @@ def reasons(problem, states):
 
 
 def touching(problem, states, gap):
-    """A problem of two states, and a ball a gap [m] away at the first, behind what moves."""
+    """Return a path of two states, with a ball `gap` [m] behind the moving links at the first."""
     (a, b), scene = (problem.robot.pose(q)[:3, 3] for q in states[:2]), problem.scene
     ball = SceneObject("ball", Sphere(1e-3), pose(a + 0.2 * (a - b) / np.linalg.norm(a - b)))
     room = replace(problem, scene=scene.with_objects(ball)).collision_checker().nearest(states[0])
@@ -39,7 +39,7 @@ def touching(problem, states, gap):
 
 
 def test_a_path_that_begins_too_close_to_an_obstacle_for_a_proof_is_not_proven(problem, states):
-    """A gap of 0.5 um is below the rounding of coal's distances; 10 um is proven."""
+    """A gap of 0.5 um is below the rounding error of coal's distances; 10 um is proven."""
     # the first joint alone turns: the hand keeps its tilt, and the ball lies behind it
     states = states[0] + np.outer((0.0, 0.02), np.eye(7)[0])
     certificate = certify(touching(problem, states, 5e-7), JointPath(states[:2]))
@@ -87,7 +87,7 @@ print(certify(problem, JointPath(np.load(sys.argv[2]))))
 
 
 def test_a_certificate_does_not_depend_on_what_its_process_did_before(tmp_path):
-    """Bit-equal: GJK must not start from an earlier call's end; boxes have one size everywhere."""
+    """Results are bitwise equal: GJK does not start from an earlier result, boxes do not grow."""
     found = solve(place_problem(2), "birrt", Budget(iterations=20_000), seed=0, clearance=False)
     np.save(tmp_path / "states.npy", found.path.states)
     printed = [python(AFTER_OTHERS, count, tmp_path / "states.npy") for count in (0, 1, 40)]

@@ -27,7 +27,7 @@ and `report` and `compare`, which tests of their own run on smaller folders.
 
 
 def commands_of(text):
-    """Words of every `cvqmpt` command in the fenced blocks of a page; of a|b the first."""
+    """Return the words of each `cvqmpt` command in the fenced blocks of a page; a of a|b."""
     for block in re.findall(r"```\w*\n(.*?)```", text, re.DOTALL):
         for line in block.replace("\\\n", " ").splitlines():
             begins = r"(?:.*&& |      - run: )?(?:\.venv/bin/)?cvqmpt (.*)"
@@ -37,7 +37,7 @@ def commands_of(text):
 
 
 def python_of(page):
-    """The fenced blocks of Python on a page."""
+    """Return the fenced blocks of Python of a page."""
     return re.findall(r"```python\n(.*?)```", (ROOT / page).read_text(), re.DOTALL)
 
 
@@ -80,7 +80,7 @@ def test_every_public_name_is_there():
 
 
 def test_editors_and_type_checkers_find_the_names_that_are_imported_when_used():
-    """The imports under TYPE_CHECKING, the table of lazy imports and `__all__` hold the same."""
+    """Imports under TYPE_CHECKING, the table of lazy imports and `__all__` have equal names."""
     tree = ast.parse(Path(cvqmpt_lab.__file__).read_text())
     (block,) = (
         node for node in tree.body if isinstance(node, ast.If) and isinstance(node.test, ast.Name)
@@ -104,7 +104,7 @@ def test_examples_import_public_names_alone(example):
 
 
 def test_the_gallery_shows_the_examples_as_they_are():
-    """`python docs/gallery.py` writes it."""
+    """`python docs/gallery.py` writes the gallery."""
     shown = python_of("docs/gallery.md")
     assert shown == [path.read_text().split('"""', 2)[2].strip() + "\n" for path in EXAMPLES]
 
@@ -151,7 +151,7 @@ MACHINE = re.compile(r"(?<![\w.])/(home|root|work|tmp|usr|opt|mnt|Users|private|
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_notebooks_are_short_define_nothing_and_store_their_outputs(path):
-    """All cells ran in order without error; there is a picture and no path of a machine."""
+    """All cells ran in order without error; outputs have a picture and no path of a machine."""
     notebook = nbformat.read(path, as_version=4)
     nbformat.validate(notebook)
     assert len(notebook.cells) <= LONGEST and path.stat().st_size <= MOST_BYTES

@@ -72,7 +72,7 @@ number = 3
 """
 HOSTILE = "properties.hostile_planners"
 ENTRY_POINTS = "[cvqmpt.planners]\nlucky = their_planners:good\ntb-rrt = their_planners:good\n"
-# so many seconds that only a process that hangs is ended
+# time limit [s] that only a hanging process exceeds
 ENOUGH = Budget(seconds=600.0, iterations=20_000)
 METADATA = "Metadata-Version: 2.1\nName: their-planners\nVersion: 1.2\n"
 

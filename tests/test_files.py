@@ -166,7 +166,7 @@ def test_a_cache_of_another_user_is_not_used(cache, recwarn, path):
 def test_without_a_cache_folder_a_temporary_one_is_used_and_without_that_none(
     cache, recwarn, tmp_path, monkeypatch
 ):
-    """A folder below a file can be made by no user, not even root."""
+    """No user, not even root, can make a folder below a file."""
     for temporary in (tmp_path / "temporary", cache / "file"):
         monkeypatch.setattr(tempfile, "tempdir", str(temporary))
         monkeypatch.setattr(caches, "_CACHE_WARNING", threading.Event())

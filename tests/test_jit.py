@@ -124,7 +124,7 @@ from cvqmpt_lab.constraints.task_space_region import upright
 from cvqmpt_lab.base.jit import Entry, folder
 from cvqmpt_lab.robot.load import panda
 print(RegionConstraint(panda(), (upright(),)).residual(np.zeros((1, 7))).shape)
-# numba makes its function of an entry only to compile it, or something that calls it
+# numba creates the function of an entry only to compile it or a caller
 read = [one for one in Entry.all if "unchecked" in vars(one) and "dispatcher" not in vars(one)]
 print(len(read), folder())
 """
@@ -143,7 +143,7 @@ os.access = lambda path, mode: False
 
 @pytest.fixture
 def project(tmp_path):
-    """Runs PROJECT after other code with a cache folder; gives shape, entries, folder, warnings."""
+    """Run PROJECT after other code with a cache folder; return shape, entries, folder, warnings."""
 
     def run(before=""):
         warm = str(tmp_path / "warm")

@@ -1,4 +1,4 @@
-"""Margins: planned with, and the deviations that a certificate says are tolerated."""
+"""Margins of planning, and the deviations that a certificate reports as tolerated."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ from cvqmpt_lab.tasks.solve import solve_task
 
 @pytest.fixture(scope="module")
 def inside(problem):
-    """A solution of `problem` with the usual margin, and what is said of it."""
+    """Return a solution of `problem` with the default margin, and its report."""
     return solve_with_margin(problem, "birrt", Budget(iterations=20_000), 0, Margin())
 
 
@@ -49,7 +49,7 @@ def test_no_turn_of_the_hand_within_the_slack_breaks_a_bound(problem, inside):
     for q in states[rng.integers(len(states), size=50)]:
         axis, turn = rng.standard_normal(3), np.eye(4)
         turn[:3, :3] = rotation_matrices(axis[None] / np.linalg.norm(axis) * turned)[0]
-        # the hand turned by R is the region turned by its inverse
+        # a hand rotated by R is equivalent to a region rotated by the inverse of R
         other = region.changed(Tw_e=turn @ region.Tw_e)
         assert excess(other, displacements(problem.robot, other, q[None])).max() <= 1e-9
 
@@ -63,7 +63,7 @@ def test_a_start_that_is_closer_lowers_the_margin_and_is_named(problem):
 
 
 def test_without_a_path_inside_it_is_planned_without(problem):
-    # one iteration cannot find a path inside, nor one without: the second run is the plain one
+    # one iteration finds no path, with a margin or without; the second run has no margin
     solution, text = solve_with_margin(problem, "birrt", Budget(iterations=2), 0, Margin())
     assert text.startswith("none of 2 mm, 0.005 rad: no path with this margin")
     assert solution.problem.clearance == problem.clearance

@@ -30,14 +30,14 @@ DECLARED = [*RUNTIME, *map(Requirement, EXTRAS["dev"] + EXTRAS["docs"] + EXTRAS[
 
 
 def pinned():
-    """Version by name in constraints.txt."""
+    """Return versions by name in constraints.txt."""
     lines = map(str.strip, (ROOT / "constraints.txt").read_text().splitlines())
     wanted = (Requirement(line) for line in lines if line and not line.startswith("#"))
     return {canonicalize_name(r.name): str(r.specifier).removeprefix("==") for r in wanted}
 
 
 def closure(wanted):
-    """Names of all installed distributions that requirements need, directly or not."""
+    """Return all installed distributions that requirements need, directly or indirectly."""
     found, left = set(), [(canonicalize_name(r.name), tuple(sorted(r.extras))) for r in wanted]
     while left:
         name, extras = item = left.pop()
@@ -64,7 +64,7 @@ def test_pins_satisfy_the_declared_ranges():
 
 
 def test_the_locked_set_is_what_planning_needs_as_pinned_with_hashes():
-    """`make locked` writes it anew."""
+    """`make locked` writes the locked set."""
     text = (ROOT / "locked.txt").read_text().replace("\\\n", " ")
     lines = [line for line in text.splitlines() if line and not line.startswith("#")]
     locked = {line.split("==")[0]: line.split()[0].split("==")[1] for line in lines}
@@ -75,7 +75,7 @@ def test_the_locked_set_is_what_planning_needs_as_pinned_with_hashes():
 
 
 def test_the_licence_of_all_that_ships_or_is_installed_is_listed():
-    """`make inventory` writes the list of distributions anew."""
+    """`make inventory` writes the list of distributions."""
     rows = [re.split(r" *\| *", line) for line in (ROOT / "LICENSES.md").read_text().splitlines()]
     listed = {canonicalize_name(row[1]): row[-2] for row in rows if len(row) > 3}
     robots = {canonicalize_name(arm.urdf.split("/")[0]) for arm in ARMS.values()}
@@ -96,7 +96,7 @@ def test_no_package_index_is_named(name):
 
 
 def test_hooks_before_a_commit_run_the_commands_of_make_lint():
-    """All are local: pre-commit fetches nothing."""
+    """All hooks are local: pre-commit downloads nothing."""
     (repository,) = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text())["repos"]
     assert repository["repo"] == "local"
     make = (ROOT / "Makefile").read_text()
@@ -160,7 +160,7 @@ def test_folders_at_the_top_are_parts_of_the_package_by_links(name):
 
 @cache
 def modules():
-    """The file of each module; a package has the name of its folder."""
+    """Return the file of each module by its name; a package has the name of its folder."""
     files = [file for name in PACKAGES for file in (ROOT / name).rglob("*.py")]
     names = {}
     for file in files:
@@ -171,7 +171,7 @@ def modules():
 
 
 def imported(file, known):
-    """Names of own modules that a file imports, or names in a string, which may import them."""
+    """Return own modules that a file imports, or names in a string, which may import them."""
     for node in ast.walk(ast.parse(file.read_text())):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
@@ -184,7 +184,7 @@ def imported(file, known):
 
 @cache
 def arrows():
-    """The own modules that each module imports; imports of a package's own `__init__` left out."""
+    """Return the own modules that each module imports, without `__init__` of its own packages."""
     known = modules()
     return {
         name: {other for other in imported(file, known) if other in known and other != name}

@@ -58,7 +58,7 @@ def test_iterations_left_make_the_path_shorter_and_repeat(problem, planner):
 
 
 class Careless:
-    """A search whose first path is the straight line to a goal, whatever is in between."""
+    """A search whose first path is the straight line to a goal, even through obstacles."""
 
     def __init__(self):
         self.calls = 0
@@ -88,7 +88,7 @@ def test_seconds_left_are_used_and_hardly_more(problem):
 
 @pytest.mark.parametrize("backend", ["compiled", "exact"])
 def test_a_clearance_is_planned_for_and_certified(problem, backend):
-    """To all kinds of shapes, not between links; a path planned without it is refused."""
+    """It holds for all shapes, not between links; a path planned without it is refused."""
     shapes = Sphere(0.03), Cylinder(0.02, 0.1), PointCloud(np.zeros((1, 3)), 0.02)
     shapes += (ConvexMesh(np.eye(4, 3) * 0.1),)
     placed = [(shape, pose((0.6, 0.2 * k - 0.3, 0.75))) for k, shape in enumerate(shapes)]
@@ -112,7 +112,7 @@ def test_a_clearance_is_planned_for_and_certified(problem, backend):
 
 
 def test_near_goals_are_tried_first_where_joints_turn_more_than_once():
-    """Goals of a UR5 that were full turns away made paths longer."""
+    """Goals of a UR5 at full turns from the start formerly made paths longer."""
     robot = robot_from_source({"name": "ur5"})
     start = np.array([0.0, -1.5, 1.0, -1.0, -1.5, 0.0])
     near = [start + 0.6 + 0.01 * k for k in range(NEAR_GOAL_COUNT)]

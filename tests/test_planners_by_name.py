@@ -1,4 +1,4 @@
-"""Planners by name: weights serve the robot they were trained for alone; each can be warmed up."""
+"""Planners by name: weights work only for the robot of their training; warm-up of each planner."""
 
 import math
 
@@ -20,7 +20,7 @@ NEEDY = [name for name, method in {**PLANNERS, **CONTROLS}.items() if method.wei
 
 @pytest.fixture(scope="module", params=["ur5", "xarm7"])
 def other(request):
-    """A free problem of an arm with six joints, and of one with seven like the Panda."""
+    """Return an unconstrained problem of an arm with six joints, or with seven like the Panda."""
     robot = robot_from_source({"name": request.param})
     start = np.clip(np.zeros(robot.dof), robot.lower + 0.1, robot.upper - 0.1)
     return PlanningProblem("elsewhere", robot, Scene("empty", ()), start, start[None] + 0.2)
@@ -28,7 +28,7 @@ def other(request):
 
 @pytest.mark.parametrize("name", NEEDY)
 def test_weights_of_the_panda_are_refused_for_another_arm(other, name):
-    """A UR5 once crashed the process; an xArm7 was "solved" with the Panda's weights."""
+    """Formerly a UR5 crashed the process, and an xArm7 was "solved" with the Panda's weights."""
     told = "weights are for robot 'panda', not"
     line = refused(told, solve, other, name, Budget(iterations=10), seed=0)
     others = [name for name, method in PLANNERS.items() if method.weights is None]

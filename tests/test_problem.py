@@ -22,7 +22,7 @@ from cvqmpt_lab.scene.shapes import Box, ConvexMesh, PointCloud
 
 
 def test_a_problem_that_cannot_be_planned_is_refused_by_start_or_goal(problem):
-    """Once a changed region had no effect beside goals sampled from the old one."""
+    """A changed region must not be ignored in favour of goals sampled from the old region."""
     moved = replace(problem.goal_region, T0_w=problem.goal_region.T0_w @ pose((0.1, 0.0, 0.0)))
     tilted = problem.start.copy()
     tilted[6] += 0.4 if tilted[6] < 0 else -0.4  # turns the hand about its approach axis: a tilt
@@ -42,7 +42,7 @@ def test_a_problem_that_cannot_be_planned_is_refused_by_start_or_goal(problem):
 
 
 def test_a_start_outside_its_cone_is_refused_with_the_tilt_in_degrees(problem):
-    """Of a tilt of 0, which is kept as two turns of 0, the same is said."""
+    """A tilt of 0, which is stored as two rotations of 0, gives the same message."""
     lean = np.degrees(np.arccos(problem.robot.pose(problem.start)[2, 2]))
     for tilt, what in ((0.1, "tilt .* of 0.1 rad"), (0.0, "rotation about . .*")):
         told = rf"start breaks `upright` by .* rad: {what} \(it tilts by {lean:.0f}°\)"
@@ -52,7 +52,7 @@ def test_a_start_outside_its_cone_is_refused_with_the_tilt_in_degrees(problem):
 
 
 def test_the_reasons_why_there_is_no_goal_are_named(problem):
-    """Out of reach: distance, reach; collision: pieces, counts; constraint: bound, degrees."""
+    """Reasons: distance and reach; colliding pieces and counts; violated bound in degrees."""
     at_goal = problem.robot.pose(problem.goals[0])
 
     def why(T, **changes):
@@ -77,7 +77,7 @@ def test_the_reasons_why_there_is_no_goal_are_named(problem):
 
 
 def test_goals_that_cannot_be_used_are_left_out_while_one_is_left(problem):
-    """A brick at the elbow of one of 20 goals, another one tilted; only those; the start."""
+    """Of 20 goals one collides and one is tilted; then only these two; then the start collides."""
     at_goal = problem.robot.pose(problem.goals[2], "panda_link4")
     hindered = replace(problem, scene=with_brick(problem, at_goal))
     met = hindered.collision_checker().in_collision_batch(problem.goals)
@@ -124,7 +124,7 @@ def test_a_start_region_gives_a_start_free_of_collision_that_keeps_the_constrain
 
 
 def test_files_of_before_still_load(tmp_path):
-    """Old `cvqmpt problems export`: every pose a matrix, sampled goals stored beside the region."""
+    """Files of old versions: every pose is a matrix, sampled goals are stored beside the region."""
     path = DATA / "problem-1.json"
     old, problem = json.loads(path.read_text()), PlanningProblem.load(path)
     assert problem.goals.tolist() == old["goals"] and problem.start.tolist() == old["start"]
@@ -139,7 +139,7 @@ def test_files_of_before_still_load(tmp_path):
 
 
 def test_a_scene_out_of_reach_is_suspected(problem, caplog):
-    """A box of 300 x 600 x 20 "mm" in a distance of 670 m was once certified."""
+    """A path beside a box of 300 x 600 x 20 m, meant in mm, 670 m away was once certified."""
     box = SceneObject("shelf", Box((0.3, 0.6, 0.02)), pose((0.6, 0.0, 0.3)))
     for far, told in ((0.0, False), (5.4, True)):
         moved = replace(box, T_world_object=pose((0.6 + far, 0.0, 0.3)))
@@ -188,7 +188,7 @@ def test_configurations_by_joint_and_by_the_srdf(problem):
 
 
 def arrays_of(value, where, seen):
-    """Every array that is reached from a value, with the way to it."""
+    """Yield every array that is reached from a value, with its path of fields."""
     if id(value) in seen or isinstance(value, str | bytes | type):
         return
     seen[id(value)] = value

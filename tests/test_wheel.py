@@ -1,4 +1,4 @@
-"""The wheel has all that planning needs: installed elsewhere, it plans with shipped weights."""
+"""The wheel contains everything for planning; installed elsewhere, it plans."""
 
 import filecmp
 import os
@@ -36,7 +36,7 @@ def site(tmp_path_factory):
 
 
 def run(site, folder, words):
-    """Python with these words in a folder, with the installed wheel."""
+    """Run Python with these arguments in a folder, with the installed wheel."""
     how = {"cwd": folder, "env": os.environ | {"PYTHONPATH": str(site)}}
     return subprocess.run([sys.executable, *words], **how, capture_output=True, text=True)
 

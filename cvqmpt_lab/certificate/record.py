@@ -101,7 +101,12 @@ def _fields(value: Clearance | Deviation | None) -> dict[str, Any] | None:
 
 
 def report_lines(found: DryRun, contents: dict[str, Any]) -> list[str]:
-    """Return a record as text; found: the check that it was made from."""
+    """Return a record as lines of text.
+
+    Args:
+        found: the check from which the record was made.
+        contents: JSON of the record, see `record`.
+    """
     certificate = found.certificate
     what = "path"
     if found.times is not None:
@@ -123,11 +128,11 @@ def report_lines(found: DryRun, contents: dict[str, Any]) -> list[str]:
         )
         if clearance
     ]
-    distances = distances or ["there is nothing to keep a distance from"]
+    distances = distances or ["there is no obstacle and no other piece to keep a distance from"]
     collides = any(fault.kind == FaultKind.COLLISION for fault in certificate.faults)
-    proven = f"no gaps: every state{' before that collision' if collides else ''} is proven"
+    proven = f"every state{' before the collision' if collides else ''} is proven"
     if certificate.unproven_rad > 0.0:
-        proven = "gaps"
+        proven = "not every state is proven"
     curve = ""
     if found.deviation_m:
         apart = bound_text(1e3 * found.deviation_m, up=True)
@@ -143,12 +148,12 @@ def report_lines(found: DryRun, contents: dict[str, Any]) -> list[str]:
         f"{CERTIFICATE_TOLERANCE:g} is allowed",
         *(f"clearance   {distance}" for distance in distances),
         *([f"tolerates   {certificate.tolerated}"] if certificate.tolerated else []),
-        f"resolution  {proven}, by {certificate.states_checked} checks{curve}",
+        f"resolution  {proven}, with {certificate.states_checked} checks{curve}",
         f"compared    {compared['moving_pieces']} moving and {compared['carried_pieces']} carried "
-        f"pieces: {compared['own_pairs']} pairs with each other, all with the "
-        f"{compared['obstacle_pieces']} pieces of {near} obstacles in reach, of "
-        f"{compared['obstacles']}",
-        f"left out    {compared['standing_pieces']} standing pieces against obstacles; of pairs of "
+        f"pieces: {compared['own_pairs']} pairs with each other; each of them with the "
+        f"{compared['obstacle_pieces']} pieces of {near} obstacles in reach (of "
+        f"{compared['obstacles']} obstacles)",
+        f"left out    {compared['standing_pieces']} standing pieces with obstacles; pairs of "
         f"links: {left or 'none'}",
         f"tolerances  constraint {tolerances['constraint']:g} rad or m, step "
         f"{tolerances['step_rad']:g} rad, ends {tolerances['ends_rad']:g} rad, margin "
@@ -160,15 +165,15 @@ def report_lines(found: DryRun, contents: dict[str, Any]) -> list[str]:
 
 
 def _proven(clearance: Clearance) -> str:
-    """Return in words the lower bound on the distance over all states, or that there is none."""
+    """Return the lower bound on the distance over all states as text; it says if there is none."""
     if not math.isfinite(clearance.at_least_m):
-        return "the least found"
+        return "the smallest distance found, not a proven bound"
     # rounded down to 0.01 mm
     return f"at least {math.floor(1e5 * max(clearance.at_least_m, 0.0)) / 100:.2f} mm everywhere"
 
 
 def _where(found: DryRun, at: float) -> str:
-    """Return a place in words: the time, or the state and its distance along the path."""
+    """Return a place as text: the time, or the state and its distance along the path."""
     if found.times is not None:
         return f"at {_time(found, at):.4f} s"
     states = found.states[: int(at) + 2]

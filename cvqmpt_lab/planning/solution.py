@@ -139,11 +139,11 @@ def _gain(made: Improvement) -> str:
 
 def _certificate(certificate: Certificate) -> list[str]:
     """Return the lines of a certificate: verdict, smallest distances, tolerated deviation."""
-    verdict, gaps = str(certificate.verdict), ", no gaps"
+    verdict, proven = str(certificate.verdict), ", motion between them proven"
     if not certificate.valid:
-        verdict, gaps = f"{verdict.upper()}: {'; '.join(certificate.reasons)}", ""
+        verdict, proven = f"{verdict.upper()}: {'; '.join(certificate.reasons)}", ""
     lines = [
-        f"certificate {verdict} ({certificate.states_checked} states{gaps}, clearance "
+        f"certificate {verdict} ({certificate.states_checked} states{proven}, clearance "
         f"{_distances(certificate)})"
     ]
     if certificate.valid and certificate.tolerated:

@@ -30,16 +30,16 @@ ROW_SCHEMA = "2"
 RUNS_FILE = "runs.csv"
 MEASURE_PREFIX = "measure:"  # start of the names of columns of one suite alone
 
-# phases that the paper seems to time
+# phases that the paper times, as far as its text tells
 PAPER_PHASES = ("reach-handle", "reach-can", "carry")
 
 
 class FailReason(StrEnum):
-    """Reason why a run has no certified path, or why its execution is not as planned.
+    """Reason why a run has no certified path, or why its execution deviates from the plan.
 
     The first group has the values of `PlanStatus` and NO_START for problems that cannot be made.
     The second group is ``uncertified_`` and a value of `FaultKind`. `experiments.run` derives both
-    from a solution. The last group is about tasks, executions and worker processes.
+    from a solution. The last group is for tasks, executions and worker processes.
     """
 
     TIMEOUT = "timeout"
@@ -78,8 +78,8 @@ RowKey = tuple[str, str, str, int, str]  # suite, problem, planner, seed, backen
 class ResultRow:
     """One run; the fields are the columns of ``runs.csv``, in this order.
 
-    Times end in ``_s`` [s], lengths in ``_rad`` [rad, Euclidean in joint space] or ``_m`` [m].
-    Numbers of numpy are converted to plain Python numbers.
+    Names of times end in ``_s`` [s], names of lengths in ``_rad`` [rad, Euclidean in joint space]
+    or ``_m`` [m]. Numbers of numpy are converted to Python numbers.
 
     Raises:
         InvalidInputError, UnknownChoiceError: a value of the wrong type or not finite; text that is
@@ -95,18 +95,17 @@ class ResultRow:
     sampler_used: str | None = None
     seed: int
     backend: str
-    # certified: the planner claimed a path and the independent certificate accepted it
-    solved: bool
+    solved: bool  # the planner returned a path, and the independent certificate accepted it
     fail_reason: FailReason | None = None
-    detail: str | None = None  # one line of explanation for readers
-    fallback: str | None = None  # why another method than the named one found the path
+    detail: str | None = None  # explanation in one line
+    fallback: str | None = None  # reason why another method than the named planner found the path
     certified: bool | None = None  # None: there was no path to certify
     t_total_s: float | None = None  # sum of the times below
-    t_goals_s: float | None = None  # inverse kinematics of goals, counted for every planner
+    t_goals_s: float | None = None  # inverse kinematics of goals, measured for every planner
     t_encode_s: float | None = None
     t_predict_s: float | None = None
     t_optimize_s: float | None = None
-    t_plan_s: float | None = None  # search alone, without networks
+    t_plan_s: float | None = None  # search without networks
     t_simplify_s: float | None = None
     n_projections: int | None = None
     n_newton_iterations: int | None = None
@@ -120,8 +119,8 @@ class ResultRow:
     max_violation_m: float | None = None
     min_clearance_m: float | None = None  # negative where bodies overlap
     path_sha256: str | None = None
-    # Scanned scenes only: time from depth images to the map (not in `t_total_s`) and to the
-    # certificate; whether the path is free in the real scene, and its clearance there.
+    # Scanned scenes only: time from depth images to the map (not part of `t_total_s`), and to the
+    # certificate; whether the path is free in the true scene, and its clearance there.
     t_sense_s: float | None = None
     t_whole_s: float | None = None
     true_free: bool | None = None
@@ -145,9 +144,9 @@ class ResultRow:
     scene_new: bool | None = None
     # number of states whose clearance was read from a distance field (approximate checks)
     n_clearances: int | None = None
-    # wall-clock time of `pipeline.solve` without goals, clouds, `t_improve_s` and certificate
+    # wall-clock time of `pipeline.solve`, without goals, clouds, `t_improve_s` and certificate
     t_wall_s: float | None = None
-    # the two parts of `min_clearance_m`: to obstacles, and between pieces of the robot
+    # `min_clearance_m` is the smaller of these: to obstacles, and between pieces of the robot
     obstacle_clearance_m: float | None = None
     self_clearance_m: float | None = None
     # Learned samplers only, like `predictor`.
@@ -163,8 +162,8 @@ class ResultRow:
     # `n_newton_iterations`. None: no sample was projected.
     n_draw_projections: int | None = None
     n_draw_newton_iterations: int | None = None
-    # Numbers that only this suite measures, by name; None: undefined. Files of rows have a column
-    # ``measure:NAME`` for each, after all others.
+    # Numbers that only one suite measures, by name; None: undefined. In files they are the last
+    # columns, with names ``measure:NAME``.
     measures: Mapping[str, float | None] = field(default_factory=dict, hash=False)
 
     def __post_init__(self) -> None:
@@ -186,18 +185,18 @@ class ResultRow:
             )
         if self.solved is not (self.fail_reason is None):
             raise InvalidInputError(
-                f"solved is {self.solved} but fail_reason is {self.fail_reason}; give one to "
-                "failures only"
+                f"solved is {self.solved} but fail_reason is {self.fail_reason}; only failed runs "
+                "must have a reason"
             )
 
     @property
     def key(self) -> RowKey:
-        """Key of the row; a later row with an equal key replaces it."""
+        """Key of the row; a later row with the same key replaces the row."""
         return self.suite, self.problem, self.planner, self.seed, self.backend
 
     @property
     def run_key(self) -> RowKey:
-        """Key of the run; the run of a task has a row for each planned phase."""
+        """Key of the run; the rows of all planned phases of a task have the same one."""
         return self.suite, self.item, self.planner, self.seed, self.backend
 
     @property
@@ -250,10 +249,10 @@ class _Column(NamedTuple):
         return self.checked(text)
 
     def read_all(self, texts: Sequence[str], places: Sequence[str]) -> list[Any]:
-        """Return the values of many cells; plain numbers, and repeated cells, are read faster."""
+        """Return the values of many cells; equal cells and plain numbers are read once."""
         known = {}
         if self.kind in (int, float):
-            # finite and not negative: these need no check
+            # such numbers are finite and not negative, so they need no check
             plain = re.compile(r"\d{1,9}" if self.kind is int else r"\d{1,9}\.\d+(e-\d+)?")
             known = {text: self.kind(text) for text in set(texts) if plain.fullmatch(text)}
         for text, place in zip(texts, places, strict=True):
@@ -288,7 +287,7 @@ def _is_formula(text: str) -> bool:
 
 
 def cell_text(text: str) -> str | None:
-    """Return text for a cell: one printable line, with ' before a formula; None if empty."""
+    """Return text as one printable line for a cell, with ' before a formula; None if empty."""
     line = " ".join("".join(c if c.isprintable() else " " for c in text).split())
     return f"'{line}" if _is_formula(line) else line or None
 
@@ -323,7 +322,7 @@ def _parse_header(path: Path, fields: list[str]) -> tuple[int, list[str]]:
     """Return the number of columns of `ROW_COLUMNS` that a file has, and its measures."""
     measures = [name for name in fields if name.startswith(MEASURE_PREFIX)]
     fields = fields[: len(fields) - len(measures)]
-    # older files end before this column or a later one
+    # older files have fewer columns, but at least those before this one
     known = ROW_COLUMNS[: max(ROW_COLUMNS.index("t_sense_s"), len(fields))]
     for index, (found, expected) in enumerate(
         zip_longest(fields, known, fillvalue="nothing"), start=1
@@ -380,9 +379,9 @@ def parse_rows(path: Path, text: str) -> list[ResultRow]:
 
 
 def _row_of_checked(values: Sequence[Any], measures: Mapping[str, float | None]) -> ResultRow:
-    """Return a row of values in the order of the columns that `_Column.read_all` has checked.
+    """Return a row with values that `_Column.read_all` has checked, in the order of columns.
 
-    It does not call `__post_init__`: a second check would triple the time of reading.
+    `__post_init__` is not called: a second check would triple the time of reading.
     """
     row = object.__new__(ResultRow)
     vars(row).update(zip(ROW_COLUMNS, values, strict=True), measures=measures)
@@ -408,7 +407,7 @@ class PhaseName(NamedTuple):
     """Name of a planned phase of a task: in rows ``TASK/NUMBER-PHASE``, e.g. ``3/5-carry``."""
 
     task: str
-    number: int  # of the phase among the planned ones, from 1
+    number: int  # number of the phase among planned phases, from 1
     phase: str
 
 

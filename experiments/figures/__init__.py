@@ -1,1 +1,1 @@
-"""The paper's figures as runs."""
+"""Reproduction of the paper's figures, from runs of the model."""

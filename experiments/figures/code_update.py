@@ -1,10 +1,10 @@
 """The mixtures that `cvq-mpt` and `opt-cvq-mpt` sample: before and after the paper's Algorithm 2.
 
-The planner's own stages run: the transformer predicts codes from cloud, start and goals, the
-decoder makes Gaussians of them, Algorithm 2 moves the codes. Gaussians around goals are part of
-what is sampled and are not moved. Draws are taken before limits and projection, with the same
-standard normal numbers before and after. All Gaussians of a mixture are equally likely, so equally
-many draws of each are draws of the mixture.
+The stages of the planner are run: the transformer predicts codes from cloud, start and goals, the
+decoder maps each code to a Gaussian, Algorithm 2 moves the codes. A mixture also has a Gaussian
+around each goal, which Algorithm 2 does not move. Samples are not clipped to limits and not
+projected; they use the same standard normal numbers before and after the update. All Gaussians of
+a mixture are equally likely, so an equal number of samples of each represents the mixture.
 """
 
 from collections.abc import Sequence
@@ -30,10 +30,10 @@ WHEN = ("before", "after")
 
 @dataclass(frozen=True, kw_only=True)
 class UpdateSettings:
-    """Seed and number of draws of a measured update."""
+    """Seed and number of samples of a measured update."""
 
     seed: int = 0
-    samples: int = 500  # draws of each Gaussian, before and after
+    samples: int = 500  # samples of each Gaussian, both before and after the update
 
     def __post_init__(self) -> None:
         whole_number("seed of the update", self.seed)
@@ -42,30 +42,30 @@ class UpdateSettings:
 
 @dataclass(frozen=True, eq=False)
 class CodeUpdate:
-    """A mixture of c codes and k goals before and after the update; F^T F [constraint units^2]."""
+    """Mixture of c codes and k goals before and after the update; F^T F in [rad^2 or m^2]."""
 
     problem: PlanningProblem  # with its goals
-    cloud: np.ndarray  # what the model saw (m, 3) [m]
-    codes: np.ndarray  # (c,), predicted: rows of the dictionary
-    before: GaussianMixture  # of c codes, then of k goals
-    after: GaussianMixture
-    noise: np.ndarray  # (s, n), standard normal
+    cloud: np.ndarray  # input points of the model (m, 3) [m]
+    codes: np.ndarray  # predicted codes (c,), as row indices of the dictionary
+    before: GaussianMixture  # c Gaussians of codes, then k Gaussians of goals
+    after: GaussianMixture  # the same Gaussians after the update
+    noise: np.ndarray  # (s, n), standard normal numbers for s samples of each Gaussian
 
     def draws(self, when: str, component: int) -> np.ndarray:
-        """Configurations (s, n) [rad] of one Gaussian, before or after."""
+        """Samples (s, n) [rad] of one Gaussian; when: "before" or "after"."""
         mixture: GaussianMixture = getattr(self, when)
         scale = np.linalg.cholesky(mixture.covariances[component])
         return mixture.means[component] + self.noise @ scale.T
 
     def g(self, when: str) -> np.ndarray:
-        """F^T F at the draws of every Gaussian (c + k, s)."""
+        """F^T F at the samples of every Gaussian (c + k, s)."""
         every = range(len(self.before.means))
         return np.array(
             [squared_residual(self.problem.manifold, self.draws(when, i)) for i in every]
         )
 
     def rows(self) -> list[dict[str, object]]:
-        """A row for each Gaussian: F^T F at its mean, its mean over draws, share of F = 0."""
+        """Table rows of Gaussians: F^T F at the mean; mean F^T F and fraction F = 0 of samples."""
         means = {"before": self.before.means, "after": self.after.means}
         centres = {when: squared_residual(self.problem.manifold, means[when]) for when in WHEN}
         g = {when: self.g(when) for when in WHEN}
@@ -85,9 +85,15 @@ class CodeUpdate:
 def update_codes(
     problem: PlanningProblem, model: str | None, settings: UpdateSettings
 ) -> CodeUpdate:
-    """Observe the scene, predict, update; model: as of `vqmpt.weights.resolve_model`.
+    """Observe the scene, predict codes and update them.
 
-    InvalidInputError: there is no goal, or no code was predicted.
+    Args:
+        problem: the problem; goals are sampled if it has only a goal region.
+        model: name or folder of weights, see `vqmpt.weights.resolve_model`; None: shipped weights.
+        settings: seed and number of samples.
+
+    Raises:
+        InvalidInputError: there is no goal, or no code was predicted.
     """
     problem = with_drawn_goals(problem)
     if len(problem.goals) == 0:
@@ -112,12 +118,18 @@ def update_codes(
 
 
 def squared_residual(constraint: RegionConstraint, q: np.ndarray) -> np.ndarray:
-    """F^T F (s,) of configurations (s, n) [rad]; zero where the constraint holds."""
+    """F^T F (s,) of configurations q (s, n) [rad]; zero where the constraint holds."""
     return np.square(constraint.residual(q)).sum(axis=1)
 
 
 def pooled_g(updates: Sequence[CodeUpdate], what: str, when: str) -> np.ndarray:
-    """F^T F at the draws of all problems' codes (what: "codes"), or of all that is sampled."""
+    """F^T F at samples of the Gaussians of all problems, as one array.
+
+    Args:
+        updates: updates of all problems.
+        what: "codes": Gaussians of codes only; "all": those of goals, too.
+        when: "before" or "after" the update.
+    """
     every = [u.g(when)[: len(u.codes) if what == "codes" else None].ravel() for u in updates]
     return np.concatenate(every)
 
@@ -125,9 +137,13 @@ def pooled_g(updates: Sequence[CodeUpdate], what: str, when: str) -> np.ndarray:
 def exceedance_rows(
     updates: Sequence[CodeUpdate], deltas: Sequence[float] = (1e-4, 1e-3, 0.01, 0.1, 1.0)
 ) -> list[dict[str, object]]:
-    """P(G > delta) and its bound E[G] / delta (paper, Markov's inequality), G = F(q)^T F(q).
+    """Table rows of P(G > delta) and its bound E[G] / delta (Markov's inequality, in the paper).
 
-    Shares of draws before limits and projection; deltas [constraint units^2].
+    G = F(q)^T F(q), at samples that are not clipped to limits and not projected.
+
+    Args:
+        updates: updates of all problems.
+        deltas: values of delta, in squared units of the constraint [rad^2 or m^2].
     """
     rows: list[dict[str, object]] = []
     for what in ("codes", "all"):
@@ -147,9 +163,12 @@ def exceedance_rows(
 def histogram_rows(
     updates: Sequence[CodeUpdate], bins: int = 40, shown: float = 0.99
 ) -> list[dict[str, object]]:
-    """Draws in even bins of |F(q)|, of the codes alone and of all that is sampled, goals included.
+    """Table rows of a histogram of |F(q)|, for Gaussians of codes only and for all Gaussians.
 
-    The bins cover the share `shown` of all draws; a last one holds the others.
+    Args:
+        updates: updates of all problems.
+        bins: number of bins of equal width.
+        shown: fraction of all samples that these bins cover; one more bin counts the others.
     """
     every = np.sqrt(np.concatenate([pooled_g(updates, "all", when) for when in WHEN]))
     top = float(np.quantile(every, shown))

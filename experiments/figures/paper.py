@@ -1,4 +1,4 @@
-"""The paper's figures: histogram of the update and concept figure. Pictures of hands, clouds."""
+"""The paper's figures (histogram of the update, concept figure); pictures of hands and clouds."""
 
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -55,17 +55,18 @@ def reproduce_figure(
     """Predict and update codes on place-task problems; write figure, tables and provenance.
 
     Args:
-        figure: one of FIGURES; "concept" shows the first problem alone.
-        out: folder of the files; it is made, is empty, or has results of the same settings.
-        command: words of the command line, for the provenance.
-        problems: indices in the suite.
+        figure: one of FIGURES; "concept" shows the first problem only.
+        out: output folder; a new or empty folder, or one with results of the same settings.
+        command: words of the command line, which are stored in the provenance.
+        problems: indices of problems of the place task.
         model: name or folder of the weights (None: the shipped ones).
-        settings: seed and number of draws (None: the defaults).
+        settings: seed and number of samples (None: the defaults).
 
     Returns:
-        The updates of the problems, and the paths of the files written.
+        The updates of the problems, and the paths of the written files.
 
-    RunStoreError: the folder holds other results.
+    Raises:
+        RunStoreError: the folder has other results or files.
     """
     suite = suite_named("place-task")
     items = [suite.solvable(index) for index in problems]
@@ -82,7 +83,7 @@ def reproduce_figure(
         record.require_same(configuration, session)
     elif any(out.iterdir()):
         raise RunStoreError(
-            f"{out} holds files without {PROVENANCE_FILE}; use an empty folder as --out"
+            f"{out} has files but no {PROVENANCE_FILE}; use an empty folder as --out"
         )
     updates = [
         update_codes(item, str(folder), settings)
@@ -108,10 +109,12 @@ def reproduce_figure(
 
 
 def summary(updates: Sequence[CodeUpdate]) -> list[str]:
-    """Lines of text about updates; values are medians over problems, so each counts once."""
+    """Return lines of text about updates; values are medians over problems."""
     codes = [len(update.codes) for update in updates]
-    lines = [f"{len(updates)} problems, {sum(codes)} codes, {min(codes)} to {max(codes)} a problem"]
-    for what, goals in (("codes", False), ("all that is sampled, goals included", True)):
+    lines = [
+        f"{len(updates)} problems, {sum(codes)} codes, {min(codes)} to {max(codes)} per problem"
+    ]
+    for what, goals in (("codes", False), ("codes and goals", True)):
         means, norms = [], []
         for when in WHEN:
             g = [u.g(when)[: None if goals else len(u.codes)] for u in updates]
@@ -129,10 +132,11 @@ def summary(updates: Sequence[CodeUpdate]) -> list[str]:
 
 
 def histogram_figure(updates: Sequence[CodeUpdate]) -> Figure:
-    """Three plots of F before and after the update.
+    """Draw three plots of F before and after the update.
 
-    Left: histogram of |F| at samples of the codes. Middle: G = mean of F^T F over the samples of a
-    code, a point for each code. Right: G over all samples, goals included, a row for each problem.
+    Left: histogram of |F| at samples of the codes. Middle: G, the mean of F^T F over the samples of
+    a code, with one point per code. Right: G over all samples, also those of goals, with one row
+    per problem.
     """
     figure = Figure(figsize=(13.0, max(4.2, 0.6 + 0.16 * len(updates))), layout="constrained")
     left, middle, right = figure.subplots(1, 3)
@@ -207,7 +211,7 @@ class HandPoses(NamedTuple):
 
     @classmethod
     def of(cls, robot: Robot, q: np.ndarray) -> "HandPoses":
-        """Hands of a robot at configurations q (s, n) [rad]."""
+        """Return the hand poses of a robot at configurations q (s, n) [rad]."""
         T_world_hand = robot.poses(q)
         up = T_world_hand[:, :3, 0]
         tilt = np.arctan2(np.linalg.norm(up[:, :2], axis=1), up[:, 2])
@@ -215,7 +219,7 @@ class HandPoses(NamedTuple):
 
 
 def hand_rows(update: CodeUpdate) -> list[dict[str, object]]:
-    """A row for each hand in the concept figure: its position [m], x axis, tilt and F^T F."""
+    """Table row for each hand in the concept figure: position [m], x axis, tilt and F^T F."""
     names = ("x", "y", "z", "up_x", "up_y", "up_z", "tilt_rad", "g")
     rows: list[dict[str, object]] = []
     for when in WHEN:
@@ -231,11 +235,12 @@ def hand_rows(update: CodeUpdate) -> list[dict[str, object]]:
 
 
 def concept_figure(update: CodeUpdate, viewpoint: Viewpoint = CLOSE) -> Figure:
-    """The paper's concept figure: input of the model, and samples before and after the update.
+    """Draw the paper's concept figure: model input, and samples before and after the update.
 
-    Above: the scene with cloud, start and goals; the hand at samples before and after the update.
-    Below: histograms of |F|; each Gaussian before and after the update as the ellipse of one
-    standard deviation of (way, lean), see `_draw_ellipse`. F(q) = 0 holds on the line lean = 0.
+    First row: the scene with cloud, start and goals; the hand at samples before the update; the
+    same after the update. Second row: histograms of |F|; the Gaussians before the update, each as
+    the ellipse of one standard deviation of (way, lean), see `_draw_ellipse`; the same after the
+    update. F(q) = 0 holds on the line lean = 0.
     """
     problem, every, count = update.problem, range(len(update.before.means)), len(update.codes)
     goal_states = update.before.means[count:]  # in order of preference
@@ -245,7 +250,7 @@ def concept_figure(update: CodeUpdate, viewpoint: Viewpoint = CLOSE) -> Figure:
     (scene, *pictures), (histogram, *planes) = figure.subplots(2, 3, height_ratios=(1.25, 1.0))
     image = still_image(problem, problem.start, PICTURE, viewpoint)
     size = image.shape[:2]
-    # the robot at the start and at the first goal, one over the other
+    # blend pictures of the robot at the start and at the first goal
     blended = 0.55 * image + 0.45 * still_image(problem, goal_states[0], PICTURE, viewpoint)
     scene.imshow(blended / 255.0)
     x, y, _ = viewpoint.screen(update.cloud, size).T
@@ -291,16 +296,16 @@ def _draw_ellipse(
         lean = atan2(u_x, u_z) [deg]
 
     Args:
-        axes: in which it is drawn; way to the right, lean upwards.
-        hands: at samples of one Gaussian.
-        start: p_start (3,) [m].
-        goal: p_goal (3,) [m].
-        colour: of the ellipse, which is dashed for `GOAL_COLOUR`.
+        axes: axes to draw in, with way to the right and lean upwards.
+        hands: hand poses at samples of one Gaussian.
+        start: position p_start of the hand at the start (3,) [m].
+        goal: position p_goal of the hand at the goal (3,) [m].
+        colour: colour of the ellipse, which is dashed for `GOAL_COLOUR`.
     """
     way = (hands.positions - start) @ (goal - start) / np.square(goal - start).sum()
     points = np.column_stack([way, np.degrees(np.arctan2(hands.up[:, 0], hands.up[:, 2]))])
     values, vectors = np.linalg.eigh(np.cov(points.T))
-    # whole axes: one standard deviation to each side
+    # full axis lengths: one standard deviation to each side
     width, height = 2.0 * np.sqrt(values)
     angle = float(np.degrees(np.arctan2(vectors[1, 0], vectors[0, 0])))
     middle, is_goal = points.mean(axis=0), colour == GOAL_COLOUR
@@ -313,7 +318,7 @@ def _draw_ellipse(
 def hand_figure(
     problem: PlanningProblem, panels: Sequence[tuple[str, HandPoses]], viewpoint: Viewpoint = CLOSE
 ) -> Figure:
-    """Hands over a picture of the scene, in one panel for each title and its hands."""
+    """Draw hands over a picture of the scene; panels: title and hands of each panel."""
     image = still_image(problem, problem.start, PICTURE, viewpoint)
     figure = Figure(figsize=(1.2 + 4.6 * len(panels), 4.05), layout="constrained")
     tilts = np.concatenate([hands.tilt for _, hands in panels])
@@ -334,11 +339,11 @@ def _draw_hands(
     """Draw the x axis of each hand, 9 cm long and coloured by tilt, over a picture of the scene.
 
     Args:
-        figure: gets a colour bar.
-        axes_of: one for each panel.
-        panels: title and hands of each.
+        figure: figure, to which a colour bar is added.
+        axes_of: axes of each panel.
+        panels: title and hands of each panel.
         image: (rows, columns, 3), picture of the scene, 0 to 255.
-        viewpoint: of the picture.
+        viewpoint: viewpoint of the picture.
         norm: range of tilts [deg] that the colours cover.
     """
     rows, columns = image.shape[:2]
@@ -363,7 +368,7 @@ def _draw_hands(
 def cloud_figure(
     problem: PlanningProblem, cloud: np.ndarray, viewpoint: Viewpoint = CLOSE
 ) -> Figure:
-    """A picture of a problem's scene; its cloud (m, 3) [m] in the same view, coloured by height."""
+    """Draw a problem's scene, and its cloud (m, 3) [m] from the same viewpoint."""
     image = still_image(problem, problem.start, PICTURE, viewpoint)
     rows, columns = image.shape[:2]
     figure = Figure(figsize=(10.4, 4.05), layout="constrained")

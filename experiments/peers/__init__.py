@@ -1,8 +1,8 @@
-"""Adapters of other planners, for tables beside ours: drake, hpp, roboplan, sscbirrt.
+"""Adapters of planners of others, which tables compare with ours: drake, hpp, roboplan, sscbirrt.
 
-The library does not know them: they are entry points of this distribution, as anybody's planner may
-be. They keep one upright constraint and plan to one goal, with an empty hand; hpp carries loads,
-in two hands as well.
+The library does not import them: they are entry points of this distribution, like planners of any
+other package. They support one upright constraint and one goal. Only hpp supports loads, also in
+two hands.
 """
 
 from dataclasses import replace
@@ -16,7 +16,7 @@ from cvqmpt_lab.problem import PlanningProblem
 
 
 def versions(planner: str, *distributions: str) -> str:
-    """Return distributions and versions; InvalidInputError with the cure if one is missing."""
+    """Return names and versions of distributions; refuse a planner if one is not installed."""
     try:
         return ", ".join(f"{name} {metadata.version(name)}" for name in distributions)
     except metadata.PackageNotFoundError as error:
@@ -37,11 +37,14 @@ def require_no_followers(problem: PlanningProblem) -> None:
 
 
 def upright_region(problem: PlanningProblem) -> TaskSpaceRegion:
-    """The region of a problem that bounds rotation y and z of the hand by +-b, and nothing else.
+    """Return the region that bounds only rotation vector entries y and z of the hand, by +-b.
 
-    A cone of tilt b is turned to that form, x of w along its axis: `rpy_box` lies in the cone too.
+    A region that bounds the tilt by b (a cone) is converted to this form, with the x axis of frame
+    w along the axis of the cone. The box of `rpy_box` lies inside the cone, too.
 
-    InvalidInputError: other constraints, several goals, a load, which adapters do not translate.
+    Raises:
+        InvalidInputError: the problem has another constraint, several goals or a load, which
+            adapters do not support.
     """
     require_no_followers(problem)
     region = problem.constraint[0] if len(problem.constraint) == 1 else None
@@ -61,27 +64,30 @@ def upright_region(problem: PlanningProblem) -> TaskSpaceRegion:
         or region.bounded_rows.tolist() != [4, 5]
     ):
         raise InvalidInputError(
-            f"{problem.name}: this adapter keeps one upright constraint, a tilt or rotation y, z"
+            f"{problem.name}: this adapter supports one upright constraint only, on tilt or on "
+            "rotation y and z"
         )
     if not np.array_equal(np.abs(region.Bw[4:]), np.full((2, 2), region.Bw[4, 1])):
         raise InvalidInputError(
-            f"{problem.name}: this adapter keeps one bound of rotation y and z, both ways"
+            f"{problem.name}: this adapter supports only equal bounds +-b on rotation y and z, not "
+            f"{region.Bw[4:].tolist()}"
         )
     if len(problem.goals) != 1:
         raise InvalidInputError(
-            f"{problem.name}: this adapter plans to one goal, not to {len(problem.goals)}"
+            f"{problem.name}: this adapter supports one goal, not {len(problem.goals)}"
         )
     if problem.attachments:
         raise InvalidInputError(
-            f"the hand carries {problem.attachments[0].name!r}: it must be empty"
+            f"{problem.name}: this adapter supports no load: remove {problem.attachments[0].name!r}"
         )
     return region
 
 
 def fixed_holds(problem: PlanningProblem) -> list[TaskSpaceRegionChain]:
-    """The regions of a frame of the robot in another one, such as two hands that hold one thing.
+    """Return regions that fix one frame of the robot to another, e.g. two hands on a tray.
 
-    InvalidInputError: one leaves freedom, which no adapter translates.
+    Raises:
+        InvalidInputError: a region leaves freedom, which adapters do not support.
     """
     require_no_followers(problem)
     found = [part for part in problem.constraint if isinstance(part, TaskSpaceRegionChain)]
@@ -89,23 +95,24 @@ def fixed_holds(problem: PlanningProblem) -> list[TaskSpaceRegionChain]:
         if part.bounds[:6].any() or part.tilt is not None:
             raise InvalidInputError(
                 f"{problem.name}: the pose in the frame of {part.base!r} has bounds "
-                f"{part.Bw.tolist()}; this adapter keeps fixed ones: make all six 0, without a "
-                "tilt, or take a planner of ours, such as birrt"
+                f"{part.Bw.tolist()}; this adapter supports only fixed poses: set all six to 0 "
+                "without a tilt, or use a built-in planner such as birrt"
             )
     return found
 
 
 def rpy_box(region: TaskSpaceRegion, share: float = 0.55) -> np.ndarray:
-    """Bounds (6, 2) on x, y, z [m] and roll, pitch, yaw [rad] that lie inside an upright region.
+    """Return bounds (6, 2) on x, y, z [m] and roll, pitch, yaw [rad] inside an upright region.
 
-    Roll r is free; pitch and yaw are at most s b, with b the region's bound on rotation vector
+    Roll r is free; pitch and yaw are at most s b, where b is the region's bound on rotation vector
     entries y and z. To first order these entries are then at most s b h (cot h + 1), h = r / 2,
-    which is 1.67 s b at the most: s = 0.60 fits. The rest is for the planners' tolerances and for
-    what lies between states. The tilt t has cos t = cos(pitch) cos(yaw), so it is at most 0.78 b.
+    which is at most 1.67 s b: s = 0.60 would suffice. A smaller s leaves room for the planners'
+    tolerances and for states between those that they check. The tilt t has
+    cos t = cos(pitch) cos(yaw), so it is at most 0.78 b.
 
     Args:
-        region: an `upright_region`.
-        share: s.
+        region: region by `upright_region`.
+        share: the factor s.
     """
     tilt, far = share * region.Bw[4, 1], 100.0
     upper = np.array([far, far, far, np.pi, tilt, tilt])

@@ -1,7 +1,8 @@
-"""Drake's KinematicTrajectoryOptimization (C++, SNOPT): a B-spline optimised, from several guesses.
+"""Adapter of Drake's KinematicTrajectoryOptimization (C++, SNOPT), which optimises a B-spline.
 
-Bounds and distances are asked of 30 states of it, and of more where a solution breaks them at one
-of 400. It ends at the first path that holds them there.
+Optimisation starts from several initial guesses. Constraint and clearance are required at 30 states
+of the spline. A solution is checked at 400 states; states that violate them are added, and the
+spline is optimised again. The first spline without a violation is the path.
 """
 
 import time
@@ -27,20 +28,21 @@ import pydrake.all as drake
 
 
 class World(NamedTuple):
-    """Problem in Drake."""
+    """Constraints of a problem in Drake, each on one configuration."""
 
-    kept: tuple  # what the constraints, which are on one configuration, refer to
+    kept: tuple  # objects that must exist as long as the constraints
     upright: drake.Constraint
-    clear: drake.Constraint
+    clear: drake.Constraint  # distance from obstacles
 
 
 def plan(problem: PlanningProblem, budget: Budget, seed: int) -> np.ndarray | None:
-    """A path (m, n) [rad], or None if the solver found none in time.
+    """Return a path (m, n) [rad], or None if the solver found none in time.
 
     Args:
-        problem: with one upright constraint and one goal, see `upright_region`.
-        budget: its seconds [s].
-        seed: of the states that guesses after the first, a straight line, go through.
+        problem: problem with one upright constraint and one goal, see `upright_region`.
+        budget: its `seconds` [s] are the time limit.
+        seed: seed of the random states through which initial guesses lead; the first guess is the
+            straight line.
     """
     deadline = time.perf_counter() + (budget.seconds or np.inf)
     robot, rng = problem.robot, np.random.default_rng(seed)
@@ -49,7 +51,7 @@ def plan(problem: PlanningProblem, budget: Budget, seed: int) -> np.ndarray | No
     path, through = None, middle
     while path is None and time.perf_counter() < deadline:
         path = _optimized(world, problem, through, deadline)
-        # [rad] wide enough to go round what is between
+        # standard deviation [rad] that is large enough for guesses around obstacles
         through = np.clip(rng.normal(middle, 0.6), robot.lower, robot.upper)
     return path
 
@@ -57,10 +59,17 @@ def plan(problem: PlanningProblem, budget: Budget, seed: int) -> np.ndarray | No
 def _optimized(
     world: World, problem: PlanningProblem, through: np.ndarray, deadline: float, count: int = 14
 ) -> np.ndarray | None:
-    """A path (m, n) of a spline with so many control points, or None.
+    """Return a path (m, n) along an optimised spline, or None if there is no solution.
 
-    The guess goes from start to goal through a state, and is first moved to where the hand is
-    upright, without obstacles. Then states of which a solution is not clear are added.
+    The initial guess is first optimised with the upright constraint alone, without obstacles. Then
+    both constraints are used; checked states that violate them are added, up to six times.
+
+    Args:
+        world: constraints.
+        problem: the problem.
+        through: state (n,) [rad] through which the guess leads from start to goal.
+        deadline: end of the time limit, by `time.perf_counter` [s].
+        count: number of control points.
     """
     corners = np.array([problem.start, through, problem.goals[0]])
     times = np.linspace(0.0, 2.0, count)
@@ -90,7 +99,7 @@ def _solved(
     asked: list[float],
     deadline: float,
 ) -> tuple[drake.BsplineTrajectory, bool]:
-    """Return the spline that meets the constraints at some parameters, and whether it does."""
+    """Return an optimised spline, and whether constraints hold at the parameters `asked`."""
     optimizer = drake.KinematicTrajectoryOptimization(spline)
     optimizer.AddPositionBounds(problem.robot.lower, problem.robot.upper)
     optimizer.AddDurationConstraint(1.0, 1.0)
@@ -114,7 +123,7 @@ def _solved(
 
 @lru_cache(maxsize=4)
 def _world(robot: Robot, scene: Scene, region: TaskSpaceRegion) -> World:
-    """Robot, obstacles and constraint, with a frame `tool` at T_hand_tool = Tw_e^-1."""
+    """Return the constraints of a robot in a scene; frame `tool` is at T_hand_tool = Tw_e^-1."""
     arm = robot.kinematics
     builder = drake.DiagramBuilder()
     plant, shapes_of = drake.AddMultibodyPlantSceneGraph(builder, time_step=0.0)
@@ -156,7 +165,7 @@ def _world(robot: Robot, scene: Scene, region: TaskSpaceRegion) -> World:
     upright = drake.AngleBetweenVectorsConstraint(
         plant, plant.world_frame(), region.T0_w[:3, 0], tool, x, 0.0, tilt, own
     )
-    # [m] distances are kept at 1 mm or more, and felt from 0.1 m on
+    # distances must be at least 1 mm; pairs farther apart than 0.1 m are ignored
     clear = drake.MinimumDistanceLowerBoundConstraint(plant, 1e-3, own, None, 0.1)
     return World((diagram, context, plant), upright, clear)
 
@@ -175,4 +184,4 @@ def _shape(body: Body) -> drake.Shape:
             return drake.Sphere(radius)
         case ConvexMesh(vertices):
             return drake.Convex(vertices.T, body.name)
-    raise AssertionError(body)  # bodies_of gives no others
+    raise AssertionError(body)  # bodies_of returns no other shapes

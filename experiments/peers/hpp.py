@@ -1,8 +1,8 @@
-"""HPP (C++, pinocchio, coal): diffusing planner, continuous collision checks, random shortcuts.
+"""Adapter of HPP (C++, pinocchio, coal): diffusing planner, continuous checks, random shortcuts.
 
-HPP bounds nothing from two sides: the hand is kept upright exactly. Two hands may hold one thing:
-their relative pose is a second constraint, which must leave no freedom. Its wheels find their
-libraries by LD_LIBRARY_PATH alone; here they are loaded one by one instead.
+HPP has no constraints with two-sided bounds, so the hand is kept exactly upright. If two hands hold
+one object, their relative pose is a second constraint, which must leave no freedom. HPP's wheels
+find their shared libraries only by LD_LIBRARY_PATH; here they are loaded one by one instead.
 """
 
 import ctypes
@@ -30,7 +30,7 @@ MADE_BY = versions("hpp", "hpp-python")
 
 
 def _imported(module: str) -> ModuleType:
-    """A module whose libraries lie in the folder of pinocchio's."""
+    """Import a module whose shared libraries are in the folder of pinocchio's."""
     return _with_libraries(partial(importlib.import_module, module))
 
 
@@ -63,12 +63,12 @@ def _device(robot: Robot, scene: Scene, carried: tuple[Attachment, ...]) -> Any:
 
 
 def _kept(problem: PlanningProblem, device: Any) -> Any:
-    """Return the constraints in HPP: the first hand upright, and hands that hold one object."""
+    """Return HPP's constraints: first hand upright, and fixed poses of hands on one object."""
     robot, held = problem.robot, fixed_holds(problem)
     core, constraints = _imported("pyhpp.core"), _imported("pyhpp.constraints")
     rest = tuple(part for part in problem.constraint if part not in held)
     region = upright_region(problem.changed(constraint=rest, attachments=()))
-    # [m, rad] tolerance of a projection, and its Newton steps
+    # tolerance of a projection [m, rad], and its largest number of Newton steps
     projector = core.ConfigProjector(device, "kept", 1e-4, 40)
 
     def keep(function: Any, rows: Sequence[bool]) -> None:
@@ -95,23 +95,23 @@ def _kept(problem: PlanningProblem, device: Any) -> Any:
 
 
 def _bools(values: Sequence[bool]) -> Any:
-    """Return them as HPP's list."""
+    """Return truth values as HPP's list."""
     found = pin.StdVec_Bool()
     found[:] = values
     return found
 
 
 def _posed(problem: PlanningProblem) -> Any:
-    """Return the problem in HPP."""
+    """Return HPP's form of the problem."""
     core = _imported("pyhpp.core")
     device = _device(problem.robot, problem.scene, problem.carried)
     posed = core.Problem(device)
     posed.setConstraints(_kept(problem, device))
     for check in ("CollisionValidation", "JointBoundValidation"):
         posed.addConfigValidation(check)
-    # [m] penetration that it allows, which must be above 0
+    # allowed penetration [m], which must be positive
     posed.pathValidation(core.Progressive(device, 1e-3))
-    # [rad] between states that are projected
+    # distance of projected states [rad]
     along = core.ProgressiveProjector(posed.distance(), posed.steeringMethod(), 0.2)
     posed.pathProjector(along)
     posed.initConfig(problem.start.copy())
@@ -125,28 +125,29 @@ def plan(
     """Plan by `DiffusingPlanner` and `RandomShortcut`.
 
     Args:
-        problem: that is planned.
-        budget: seconds count.
-        seed: of C's random generator.
-        spacing: distance between states of the path [rad]; straight motions between states 0.05 rad
-            apart moved one hand in the other by up to 0.4 mm, and the certificate allows 0.5 mm.
+        problem: problem with constraints that `_kept` supports, and one goal.
+        budget: its `seconds` [s] are the time limit of search and shortcuts.
+        seed: seed of C's random generator.
+        spacing: distance between states of the path [rad]. On straight motions between states
+            0.05 rad apart, the relative position of two hands changed by up to 0.4 mm, and the
+            certificate allows 0.5 mm.
 
     Returns:
         States (m, n) [rad] of the path; None if none is found within the budget.
     """
     began = time.perf_counter()
     posed, core = _posed(problem), _imported("pyhpp.core")
-    # HPP draws by C's rand
+    # HPP takes random numbers from C's rand
     ctypes.CDLL(None).srand(seed)
     search = core.DiffusingPlanner(posed)
-    # more than any time is enough for
+    # no limit: only the time limit counts
     search.maxIterations(2**60)
     if budget.seconds is not None:
         search.timeOut(budget.seconds)
     try:
         path = search.solve()
     except RuntimeError:
-        # raised when its time is over
+        # raised at the time limit
         return None
     shortcuts = core.RandomShortcut(posed)
     if budget.seconds is not None:

@@ -1,7 +1,8 @@
-"""roboplan (C++, pinocchio, coal): RRT-Connect, states projected on bounds of roll, pitch, yaw.
+"""Adapter of roboplan (C++, pinocchio, coal): RRT-Connect with states projected onto constraints.
 
-The set-up is that of its own example of constrained planning, but the search ends at the first
-path. Its shortcutting ignores constraints and is not used.
+Constraints bound roll, pitch and yaw. The settings are those of roboplan's example of constrained
+planning, but the search ends at the first path. Its shortcutting ignores constraints and is not
+used.
 """
 
 import tempfile
@@ -28,7 +29,7 @@ GROUP = "arm"
 
 @lru_cache(maxsize=4)
 def _world(robot: Robot, scene: Scene, region: TaskSpaceRegion) -> roboplan.core.Scene:
-    """Robot and obstacles as roboplan's scene, with a frame `tool` at T_hand_tool = Tw_e^-1."""
+    """Return robot and obstacles as roboplan's scene; frame `tool` is T_hand_tool = Tw_e^-1."""
     with tempfile.TemporaryDirectory() as folder:
         urdf, srdf = urdf_of(robot, scene, Path(folder), np.linalg.inv(region.Tw_e))
         description = roboplan.core.loadUrdfSceneDescriptionFromXml(urdf, [])
@@ -44,10 +45,10 @@ def plan(
     """Plan with `roboplan.rrt.RRT`.
 
     Args:
-        problem: with one upright constraint and one goal, see `upright_region`.
-        budget: its seconds [s] are the planner's time limit.
-        seed: of the planner's random numbers.
-        rewired: whether new nodes and their neighbours get shorter ways to the roots (RRT*).
+        problem: problem with one upright constraint and one goal, see `upright_region`.
+        budget: its `seconds` [s] are the planner's time limit.
+        seed: seed of the planner's random numbers.
+        rewired: whether the tree is rewired to shorter paths from the root (RRT*).
 
     Returns:
         A path (m, n) [rad], or None if none was found in the budget.
@@ -59,16 +60,16 @@ def plan(
     constraint = roboplan.rrt.PoseConstraint(world, GROUP, TOOL, lower, upper, T0_w)
     options = roboplan.rrt.RRTOptions(
         GROUP,
-        # more nodes than can be made in any budget
+        # more nodes than any budget allows
         max_nodes=10_000_000,
-        # [rad] length of an extension of a tree, at most
+        # largest length of an extension of a tree [rad]
         max_connection_distance=0.5,
-        # [rad] between states that are checked on an edge
+        # distance of checked states on an edge [rad]
         collision_check_step_size=0.05,
         max_planning_time=budget.seconds or 0.0,
         rrt_connect=True,
         rrt_star=rewired,
-        # [rad] as far as an extension reaches
+        # radius of rewiring [rad], equal to the length of an extension
         rewire_distance=0.5,
     )
     search = roboplan.rrt.RRT(world, options)
@@ -78,9 +79,9 @@ def plan(
     try:
         return np.array(search.plan(*ends, [constraint]).positions)
     except RuntimeError:
-        # raised when no path was found within time and nodes
+        # raised if no path was found within the limits of time and nodes
         return None
 
 
-# with `rrt_star`, which its makers advise under constraints
+# with `rrt_star`, which roboplan's authors recommend for constraints
 plan_star = partial(plan, rewired=True)

@@ -1,6 +1,6 @@
-"""sscbirrt (C++, MuJoCo, analytical inverse kinematics by ssik): CBiRRT with its defaults.
+"""Adapter of sscbirrt (C++, MuJoCo, analytical inverse kinematics by ssik): CBiRRT, defaults.
 
-Its task-space regions bound roll, pitch and yaw; it smooths its paths itself.
+Its task-space regions bound roll, pitch and yaw. Its paths are already smoothed.
 """
 
 import tempfile
@@ -27,7 +27,7 @@ from tsr import TSR
 
 @lru_cache(maxsize=4)
 def _world(robot: Robot, scene: Scene) -> tuple[Any, Any, Any]:
-    """Model, data and arm."""
+    """Return MuJoCo's model and data, and sscbirrt's arm."""
     text = mjcf_of(robot, scene)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "world.xml"
@@ -38,7 +38,7 @@ def _world(robot: Robot, scene: Scene) -> tuple[Any, Any, Any]:
 
 
 def plan(problem: PlanningProblem, budget: Budget, seed: int) -> np.ndarray | None:
-    """A path (m, n) [rad] by `sscbirrt.mujoco.plan`; None where it finds none in the budget."""
+    """Return a path (m, n) [rad] by `sscbirrt.mujoco.plan`; None if none was found in time."""
     region = upright_region(problem)
     found = sscbirrt.plan(
         *_world(problem.robot, problem.scene),

@@ -1,7 +1,7 @@
-"""A problem's robot and obstacles as URDF, so that other planners check the same bodies.
+"""Export of a problem's robot and obstacles as URDF, so that other planners check the same bodies.
 
-The file has the joint axes of `Robot.kinematics` as z, a body for every convex piece of a link and
-one for every obstacle, which is fixed to the world. Lengths in metres.
+Joint axes of the file are the z axes of `Robot.kinematics`. It has a link for every convex piece of
+the robot, and one for every obstacle, which is fixed to the world. Lengths are in metres.
 """
 
 import warnings
@@ -30,14 +30,15 @@ def urdf_of(
     T_hand_tool: np.ndarray,
     carried: Sequence[Attachment] = (),
 ) -> tuple[str, str]:
-    """URDF and SRDF of robot and obstacles as text; meshes go into a folder.
+    """Return URDF and SRDF of robot and obstacles as text, and write meshes to a folder.
 
     Args:
-        robot: its pieces become links of their own, fixed to `link_0` to `link_n`.
-        scene: its obstacles are fixed to the world, `link_0`.
-        folder: where the URDF finds its STL files.
-        T_hand_tool: (4, 4) pose of the frame `tool` in the first hand [m].
-        carried: loads, bodies that are fixed to the link of the hand that each is fixed to.
+        robot: robot, each piece of which becomes a separate link fixed to one of `link_0` to
+            `link_n`.
+        scene: scene, whose obstacles are fixed to the world, `link_0`.
+        folder: folder for the STL files of the URDF.
+        T_hand_tool: (4, 4) pose of the frame `tool` in the frame of the first hand [m].
+        carried: loads; each becomes a link that is fixed to the link of its hand.
     """
     root = Element("robot", name="arm")
     for k in range(robot.dof + 1):
@@ -49,14 +50,14 @@ def urdf_of(
         joint = _joint(root, f"link_{arm.parent[j]}", f"link_{j + 1}", T, kind, name)
         SubElement(joint, "axis", xyz="0 0 1")
         limits = {"lower": repr(float(arm.lower[j])), "upper": repr(float(arm.upper[j]))}
-        # a URDF must have a velocity and an effort; planners of paths do not use them
+        # URDF requires velocity and effort, which path planners do not use
         SubElement(joint, "limit", {**limits, "velocity": "1.0", "effort": "1.0"})
     for body in bodies_of(robot, scene, carried):
         link = SubElement(root, "link", name=body.name)
         collision = SubElement(link, "collision", name=f"{body.name}_0")
         _urdf_shape(SubElement(collision, "geometry"), body, folder)
         checking = SubElement(link, "collision_checking")
-        # pinocchio: the mesh is its convex hull
+        # pinocchio then uses the convex hull of the mesh
         SubElement(checking, "convex", name=f"{body.name}_0")
         _joint(root, f"link_{body.link}", body.name, body.T_link_body)
     row, T_link_hand = robot.end_effector_link

@@ -1,4 +1,4 @@
-"""MotionBenchMaker: an archive written here for reading and refusals; the real one where cached."""
+"""MotionBenchMaker: reading and refusals with a made archive; the real archive if it is cached."""
 
 import hashlib
 import io
@@ -149,7 +149,7 @@ def test_problems_that_were_not_fetched_or_have_changed_are_refused(empty_cache,
 
 
 def test_what_pip_says_is_told_in_one_line(empty_cache, tmp_path, monkeypatch):
-    """The index has no such archive, or another one."""
+    """The package index has no such archive, or a different one."""
     monkeypatch.setenv("PIP_NO_INDEX", "1")
     monkeypatch.setenv("PIP_FIND_LINKS", str(tmp_path))
     said = refused("pip cannot download vamp-planner 0.6.4: No matching", fetch)
@@ -160,7 +160,7 @@ def test_what_pip_says_is_told_in_one_line(empty_cache, tmp_path, monkeypatch):
 
 
 def cached():
-    """Whether the real problems were fetched."""
+    """Return whether the real problems were downloaded."""
     try:
         return bool(robot_file("panda", "problems.tar.bz2"))
     except InvalidInputError:

@@ -42,7 +42,7 @@ def test_starts_and_goals_have_room_and_cameras_stand_in_the_open(number):
 
 
 def test_a_path_is_judged_in_the_map_and_in_truth(sensed):
-    """A ball in the way that no camera saw: certified in the map, not free in truth."""
+    """A ball that no camera saw blocks the path: certified in the map, not free in truth."""
     run = Experiment("sensor", (1,), ("birrt",), (0,), ENOUGH).runs[0]
     (row,) = outcome_of(run, sensed).rows
     assert row.solved and row.true_free and row.true_clearance_m > 0.0

@@ -33,7 +33,7 @@ def template(name, what="drawer"):
 
 
 def check_solved(made):
-    """Another seed than the template's solves it, and every phase is compared with obstacles."""
+    """Assert that another seed solves the task, and that every phase is checked with obstacles."""
     solution = solve_task(Task.from_dict(made), "birrt", Budget(seconds=10.0), seed=3)
     assert solution.solved, solution.failure
     for outcome in solution.outcomes:

@@ -1,4 +1,4 @@
-"""Problems of two arms that carry one thing: they repeat, fit together, and are solved."""
+"""Problems of two arms that carry one object: repeatable, consistent and solved."""
 
 from dataclasses import replace
 
@@ -12,7 +12,7 @@ from cvqmpt_lab.constraints.project import PROJECTION_TOLERANCE
 
 @pytest.mark.parametrize("index", [0, 60])
 def test_a_problem_is_a_function_of_its_index(index):
-    """Made again with nothing remembered; other indices give other ones."""
+    """A problem made without caches is the same; other indices give other problems."""
     one = two_arms_problem(index)
     hold.cache_clear()
     assert two_arms_problem(index).to_dict() == one.to_dict()
@@ -22,7 +22,7 @@ def test_a_problem_is_a_function_of_its_index(index):
 
 @pytest.mark.parametrize("index", [0, 30, 60])
 def test_both_hands_hold_the_thing_at_the_start_and_it_is_level(index):
-    """By pinocchio's poses; only because both hold it does the second hand touch it."""
+    """By pinocchio's poses; the second hand may touch the object because both hands hold it."""
     problem = two_arms_problem(index)
     assert np.linalg.norm(problem.manifold.residual(problem.start)) <= PROJECTION_TOLERANCE
     checker = problem.collision_checker()

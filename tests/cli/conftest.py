@@ -1,4 +1,4 @@
-"""A problem file that may be spoiled."""
+"""A problem file that tests may change."""
 
 import json
 

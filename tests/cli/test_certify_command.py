@@ -51,7 +51,7 @@ def region_problem(problem):
 
 @pytest.fixture
 def judged(tmp_path, region_problem, capsys):
-    """Certifies states or a text against a problem; gives the exit code and the printed json."""
+    """Certify states or text against a problem; return the exit code and the printed json."""
 
     def judge(what, problem=None, name="motion.csv", options=()):
         if isinstance(what, str):
@@ -116,7 +116,7 @@ def test_the_record_says_what_was_compared_and_where_it_was_closest(judged, regi
 
 
 def until(state, direction, reached):
-    """The state moved along a direction until `reached(q)`, by at most 0.6 rad."""
+    """Return the state moved along a direction until `reached(q)`, by at most 0.6 rad."""
     low, high = 0.0, 0.6
     assert reached(state + high * direction) and not reached(state)
     for _ in range(40):
@@ -138,7 +138,7 @@ def tilted(problem, states):
 
 
 def inside_by_1_mm(problem, states):
-    """One state moved sideways until it is in collision by 1 mm."""
+    """Move one state sideways until it collides by 1 mm."""
     checker, moved = problem.collision_checker(), states.copy()
     aside = states[20:] + 0.6 * np.eye(7)[0]
     k = next(k for k, q in enumerate(aside, 20) if checker.clearance(q) < -1e-3)
@@ -266,7 +266,7 @@ def test_a_speed_is_judged_at_its_peak(judged, panda, share, code):
 def test_a_trajectory_that_begins_or_ends_on_the_move_is_refused(
     judged, region_problem, trajectory, part, words
 ):
-    """Both halves of a trajectory that was cut in motion."""
+    """Both halves of a trajectory that was cut while the arm moved."""
     kinds = ("times", "positions", "velocities", "accelerations")
     half = replace(trajectory, **{kind: getattr(trajectory, kind)[part] for kind in kinds})
     problem = replace(region_problem, start=half.positions[0], goals=half.positions[-1:])

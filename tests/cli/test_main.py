@@ -1,4 +1,4 @@
-"""The whole command line: a table of commands; help is fast, with examples; an error is a line."""
+"""The command line: a table of commands, fast help with examples, errors of one line."""
 
 import csv
 import os
@@ -21,7 +21,7 @@ with Path(__file__).with_name("commands.csv").open(newline="") as file:
 
 @pytest.fixture
 def places(problem_file, scan_folder, tmp_path):
-    """What stands for a file or for options in the table of commands."""
+    """Return the replacements of placeholders in the table of commands, for files and options."""
     for suffix in ("csv", "json", "yaml", "ply", "png", "urdf", "srdf"):
         os.mkfifo(tmp_path / f"pipe.{suffix}")
     depth = scan_folder / "depth"

@@ -1,4 +1,4 @@
-"""`cvqmpt problems` and `cvqmpt ik`: files to start from, of suites, configurations for them."""
+"""`cvqmpt problems` and `cvqmpt ik`: templates, problems of suites, configurations."""
 
 import json
 from dataclasses import replace
@@ -18,14 +18,14 @@ IK = "ik --pose '-0.3, 0.5, 0.3, 3.14, 0, 0' --problem-file"
 
 @pytest.fixture
 def mine(tmp_path, cvqmpt):
-    """A problem that `problems new` wrote."""
+    """Return a problem that `problems new` wrote."""
     path = tmp_path / "mine.json"
     assert f"cvqmpt plan --problem-file {path}" in cvqmpt("problems new", path)
     return path
 
 
 def test_motions_of_a_new_problem_and_task_need_no_limits_on_the_command_line(tmp_path, cvqmpt):
-    """The lines of docs/ros2.md; a UR5 has no limits of acceleration of its own."""
+    """Commands of docs/ros2.md; the UR5's model has no acceleration limits."""
     path, motion, task = (tmp_path / name for name in ("mine.json", "motion.json", "door.json"))
     told = cvqmpt("problems new --robot ur5", path)
     assert "acceleration_limits are a guess, the limit of velocity in 0.5 s" in told
@@ -41,7 +41,7 @@ def test_motions_of_a_new_problem_and_task_need_no_limits_on_the_command_line(tm
 
 
 def test_a_new_problem_leads_round_an_obstacle_from_a_calm_start_for_any_urdf(tmp_path, cvqmpt):
-    """Once a UR10 started with a joint at 4.98 rad, in the air, and the box was not in its way."""
+    """Formerly a UR10 started with a joint at 4.98 rad, and the box did not block its motion."""
     urdf, path = read_source({"name": "ur10"}).urdf, tmp_path / "new" / "mine.json"
     path.parent.mkdir()
     assert "end effector tool0 is a guess" in cvqmpt("problems new", path, "--urdf", urdf)

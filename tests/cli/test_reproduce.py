@@ -18,7 +18,7 @@ from cvqmpt_lab.search.result import Budget
 
 def test_every_suite_and_the_controls_are_part_of_everything():
     full = {part.folder: part.experiment for part in parts_of("full")}
-    # need planners, problems or a simulation that not everybody has
+    # these need optional planners, problems or a simulation
     others = {"peers", "peers-two-arms", "motion-bench", "motion-bench-upright", "executed"}
     assert full.keys() == {*SUITES, "controls"} - others
     assert set(full["controls"].planners) > set(CONTROLS)

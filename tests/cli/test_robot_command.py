@@ -23,7 +23,7 @@ def test_a_picture_is_written(cvqmpt, tmp_path, slider_arm_urdf):
 
 @pytest.fixture
 def arm_file(tmp_path, slider_arm):
-    """Writes a problem of the tests' slider arm that leaves out its slider, from its folder."""
+    """Write a problem of the tests' slider arm without its slider; run in its folder."""
 
     def write(**fields):
         start, goals = [0.0] * 4, [[0.3, 0.2, -0.4, 1.0]]

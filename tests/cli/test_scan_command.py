@@ -45,7 +45,7 @@ def test_a_depth_image_becomes_a_clean_cloud_and_a_scene(
 def test_a_picture_shows_raw_and_removed_points_and_a_robot_that_is_named(
     scan_folder, camera, tmp_path, cvqmpt
 ):
-    """The white of the robot is in the picture only with --robot; red points are the arm's."""
+    """The white robot is in the picture only with --robot; red points belong to the arm."""
     words = [scan_folder / "depth.png", *camera, "--arm-at", START]
     light, red = [], []
     for k, more in enumerate(([], ["--robot", "panda"])):
@@ -77,7 +77,7 @@ def test_the_bodies_of_a_scan_are_its_points_its_camera_and_axes(scan_folder):
 def test_an_unknown_file_becomes_a_certified_path_in_one_command(
     scan_folder, camera, file, kind, bound, capsys
 ):
-    """The axis of the hand that points up at the start is the one that is kept up."""
+    """The constraint keeps the axis of the hand upright that points up at the start."""
     words = ["--cloud", scan_folder / file, *(camera if file == "depth.png" else camera[2:])]
     ends = ["--start", START, "--goal", GOAL, "--constraint", kind]
     run_here(["plan", *words, *ends, "--iterations", 5000])

@@ -13,7 +13,7 @@ from cvqmpt_lab.vqmpt.weights import weights_digest
 
 @pytest.fixture
 def findings(cvqmpt):
-    """State and text of everything that `doctor` prints, by name; its exit code."""
+    """Return state and text of each line of `doctor` by name, and its exit code."""
 
     def told(code):
         line = r"^(ok|BROKEN|without) +(\S+) +(.*(?:\n {20}.*)*)"
@@ -64,7 +64,7 @@ def test_damaged_weights_are_broken(findings, monkeypatch, tmp_path):
     [("stages", "certificate"), ("paper-check", "PyBullet: 66 distances between 11 links")],
 )
 def test_benches_print_their_figures_and_write_them(cvqmpt, tmp_path, bench, figure):
-    """Checks that they run; no time is required."""
+    """Benchmarks run; their times are not checked."""
     if bench == "paper-check":
         pytest.importorskip("pybullet")
     out = tmp_path / "figures.json"

@@ -1,4 +1,4 @@
-"""What a plan from the shell does not import, and that planning and tables need no torch."""
+"""Modules that a plan from the shell must not import; planning and tables without torch."""
 
 import json
 import os
@@ -30,13 +30,13 @@ MOST_MB = 40  # that weights and prediction add to the memory of a plan
 
 @pytest.fixture
 def without_torch(tmp_path):
-    """Runs a command in a process that cannot import torch."""
+    """Run a command in a process that cannot import torch."""
     (tmp_path / "sitecustomize.py").write_text("import sys; sys.modules['torch'] = None")
     return partial(run, PYTHONPATH=f"{tmp_path}{os.pathsep}{ROOT}")
 
 
 def imported(*words):
-    """Modules imported at the end of a command."""
+    """Return the modules that are imported at the end of a command."""
     run = (
         f"from cvqmpt_lab.cli.main import main; assert main({list(words)!r}) == 0; "
         if words

@@ -1,4 +1,4 @@
-"""The compiled checker and its pairs of shapes against coal: never optimistic, seldom strict."""
+"""The compiled checker against coal: it misses no collision and reports few false ones."""
 
 import numpy as np
 import pytest
@@ -29,7 +29,7 @@ NOTHING = Scene("nothing", ())
 
 
 def compiled_hits(robot, scene, states, attachments=(), margin=0.0):
-    """Whether the compiled checker calls each state colliding, (b,)."""
+    """Return whether the compiled checker calls each state colliding (b,)."""
     start = np.append(HOME, 0.0)[: robot.dof] if robot.dof >= len(HOME) else np.zeros(robot.dof)
     problem = PlanningProblem("test", robot, scene, start, start[None], attachments=attachments)
     space = ConstrainedSpace.of(problem, margin=margin)
@@ -52,7 +52,7 @@ def near_contact(checker, rng, count):
 
 
 def missed(exact, states, answers):
-    """Whether coal sees a collision of each state (b,); fails where the answers miss a deep one."""
+    """Return whether coal finds a collision in each state (b,); fail if a deep one is missed."""
     expected = exact.in_collision_batch(states)
     depths = [exact.clearance(q) - exact.margin for q in states[expected & ~answers]]
     assert expected.any() and [depth for depth in depths if depth < -CONTACT] == []
@@ -113,9 +113,9 @@ def test_both_checkers_agree_with_a_door_in_the_hand():
 
 
 def compared_near_contact(robot, scene, rng, most, anywhere=1000):
-    """Whether coal sees collisions of states anywhere, then of 3000 near contact.
+    """Return coal's verdicts on states anywhere, then on 3000 states near contact.
 
-    The compiled checker misses none; false ones are less than a share of those anywhere.
+    The compiled checker misses none, and reports fewer false ones than a fraction of the first.
     """
     checker = CollisionChecker(robot, scene)
     uniform = robot.random_configurations(rng, anywhere)
@@ -127,7 +127,7 @@ def compared_near_contact(robot, scene, rng, most, anywhere=1000):
 
 
 def test_another_robot(slider_arm):
-    """Boxes, cylinders, spheres, slider, no SRDF; round links are circumscribed: loose contact."""
+    """Boxes, cylinders, spheres, slider, no SRDF; polyhedra enclose round links: loose contact."""
     scene, rng = with_one_of_each(), np.random.default_rng(0)
     compared_near_contact(slider_arm, scene, rng, 0.05, anywhere=3000)
 
@@ -193,7 +193,7 @@ def test_what_a_ball_touches_its_cloud_touches(panda, count, carried):
 @pytest.mark.parametrize("padding", [0.0, 0.03])
 @pytest.mark.parametrize("T", [pose((0.0, 0.0, 0.4)), TURNED], ids=["straight", "turned"])
 def test_maps_are_the_same_to_both_checkers(panda, T, padding):
-    """Also where a coarse wall and solid blocks are joined to large boxes."""
+    """Also for a coarse wall and solid blocks, whose cells are joined to large boxes."""
     rng = np.random.default_rng(5)
     scattered = np.floor(shell(rng, 600) / 0.02)
     wall = np.argwhere(np.ones((2, 40, 30), dtype=bool)) + (22, -20, -10)
@@ -204,7 +204,7 @@ def test_maps_are_the_same_to_both_checkers(panda, T, padding):
 
 
 def test_obstacles_outside_the_grid_are_still_seen_and_states_that_are_not_finite_collide(panda):
-    """The grid ends at the arm's reach; a pole in the hand goes beyond it."""
+    """The distance grid ends at the arm's reach; a pole in the hand extends beyond it."""
     pole = Attachment("pole", Box((0.02, 0.02, 1.6)), pose((0.0, 0.0, 0.9)))
     stretched = np.array([0.0, 1.5, 0.0, -0.1, 0.0, 1.5, 0.0])
     T_world_tip = panda.pose(stretched) @ pose((0.0, 0.0, 1.65))
@@ -217,7 +217,7 @@ def test_obstacles_outside_the_grid_are_still_seen_and_states_that_are_not_finit
 
 
 def test_a_robots_arrays_are_made_once_and_the_same_from_disk(slider_arm, tmp_path, monkeypatch):
-    """What is done with a damaged file: robot/test_loading."""
+    """Arrays are built once; tests/robot/test_loading has damaged cache files."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
 
     def stored(length):
@@ -235,7 +235,7 @@ def test_a_robots_arrays_are_made_once_and_the_same_from_disk(slider_arm, tmp_pa
 
 
 def test_flat_shapes_are_cut_too():
-    """A point, a segment, a square and points that coincide."""
+    """Cut a point, a segment, a square and coincident points."""
     square = [[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0.5, 0.5, 0]]
     segment = np.outer([0.0, 1.0, 0.4], np.eye(3)[0])
     for points in (np.zeros((1, 3)), segment, np.array(square), np.zeros((4, 3))):

@@ -1,4 +1,4 @@
-"""The exact checker: names, distances, margins, loads, pair loop; motions proven free."""
+"""The exact checker: names, distances, margins, loads, all pairs; motions that are proven free."""
 
 import time
 from itertools import pairwise
@@ -57,7 +57,7 @@ def test_colliding_pairs_are_named(panda, open_kitchen):
 
 
 def by_pairs(checker, q):
-    """The checker's answer from a plain loop over all pairs."""
+    """Return the checker's answer by a loop over all pairs."""
     return checker.colliding_pair(q) is not None
 
 
@@ -71,7 +71,7 @@ def test_margin_is_a_distance(panda, method):
 
 
 def least_of_all_pairs(checker, q):
-    """Least distance, with a new request for each pair."""
+    """Return the smallest distance, with a new request for each pair."""
     model, geometry = checker.robot.model, checker._geometry
     placed = pin.GeometryData(geometry)
     pin.updateGeometryPlacements(model, model.createData(), geometry, placed, q)
@@ -85,7 +85,7 @@ def least_of_all_pairs(checker, q):
 
 
 def test_the_clearance_is_the_least_of_all_pairs_whatever_was_asked_before(panda):
-    """coal's broad phases reuse one result for all pairs: clearances were up to 0.1 m too large."""
+    """coal's broad phase reuses a result for all pairs: clearances were up to 0.1 m too large."""
     checker = CollisionChecker(panda, random_scene(3), (carried_can(),))
     states = panda.random_configurations(np.random.default_rng(9), 120)
     found = [checker.nearest(q) for q in states]
@@ -96,7 +96,7 @@ def test_the_clearance_is_the_least_of_all_pairs_whatever_was_asked_before(panda
 
 
 def test_what_is_never_paired(panda):
-    """The base with obstacles, visible-only objects, and obstacles and clouds out of reach."""
+    """Left out: base and obstacles, visible-only objects, obstacles and clouds out of reach."""
     base = CollisionChecker(panda, scene_of(brick((0.0, 0.0, -0.05), size=0.2)))
     assert not base.in_collision(HOME)
     visible = scene_of(brick(ahead_of_hand(panda, 0.05), obstacle=False))
@@ -122,7 +122,7 @@ def test_broad_phase_equals_the_pair_loop(panda, open_kitchen, margin):
 
 
 def test_a_penetration_that_was_once_missed(panda, open_kitchen):
-    """Near this state 3 % of answers were 'free', though a finger is 0.6 mm deep in the hood."""
+    """Near this state 3 % of the verdicts were 'free', but a finger is 0.6 mm deep in the hood."""
     q = (-1.0911800284454585, -0.6123973880309459, 0.8018093960963767, -0.9836926573531111)
     q += (1.4355947070199364, 1.7299841861614353, 0.9963113539546944)
     checker = CollisionChecker(panda, open_kitchen)
@@ -152,7 +152,7 @@ def sampled(motion, spacing):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_proofs_and_samples_agree(panda, open_kitchen, seed):
-    """Motions of three segments: proven free, or seen to collide, and never both."""
+    """Motions of three segments are proven free or found colliding at samples, never both."""
     checker, rng = a_case(panda, open_kitchen, seed)
     starts = [q for q in panda.random_configurations(rng, 160) if not checker.in_collision(q)][:60]
     verdicts = []
@@ -171,7 +171,7 @@ def test_proofs_and_samples_agree(panda, open_kitchen, seed):
 
 @pytest.mark.parametrize("gap", [0.0, 1e-18, 1e-16])
 def test_states_that_are_repeated_or_hardly_apart_change_nothing(panda, open_kitchen, gap):
-    """OMPL's paths hold such states; late in a path a tiny step does not change its distance."""
+    """OMPL's paths repeat states; late in a path, a tiny step does not change the distance."""
     motion = HOME + np.linspace(0.0, 0.3, 20)[:, None] * np.eye(7)[5]
     apart = gap * np.tile([[0.0], [1.0], [2.0]], (20, 1)) * np.eye(7)[0]
     repeated = np.repeat(motion, 3, axis=0) + apart

@@ -33,7 +33,7 @@ HOME = np.array([0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785])
 
 
 def dense(robot, region, states, spacing=5e-4):
-    """The largest distance outside a region at very many states."""
+    """Return the largest violation of a region at very many states."""
     x = displacements(robot, region, evenly_spaced(states, spacing))
     lower, upper = region.bounds.T
     return float(np.maximum(lower - x, x - upper)[:, region.bounded_rows].max())
@@ -59,7 +59,7 @@ def test_the_bound_holds_and_is_close(panda, slider_arm, kind, tolerance):
 
 
 def test_a_kink_between_two_good_states_is_found(panda):
-    """Only the middle of a motion is tilted; both its ends keep upright to 1e-4."""
+    """Only the middle of a motion is tilted; both ends are upright to 1e-4 rad."""
     manifold = RegionConstraint(panda, (upright(0.0),))
     a, b = (manifold.project(HOME + (0.0, d, 0.0, 0.0, 0.0, d, 0.0)) for d in (-0.05, 0.05))
     bent = np.array([a, 0.5 * (a + b) + 2e-3 * np.eye(7)[5], b])
@@ -90,7 +90,7 @@ def test_a_stretch_through_half_a_turn_near_the_bound_is_shown_to_be_inside(pand
     region = (upright_box(),)
     assert largest_violation(panda, region, evenly_spaced(states, 1e-4), 1.0, 1.0).radians == 0.0
     assert largest_violation(panda, region, states, 0.11, 5e-4).largest <= 5e-4
-    # without regions there is none
+    # without regions there is no violation
     found = largest_violation(panda, (), np.array([HOME, HOME + 0.1]), 0.04, 1e-3)
     assert (found.radians, found.metres, found.largest, found.at) == (0.0, 0.0, 0.0, None)
 
@@ -105,7 +105,7 @@ def test_the_largest_tilt_of_a_path_is_found_against_its_bound(solution):
 
 
 def test_a_bound_on_one_side_names_the_state_closest_to_it(panda):
-    """Hand heights from above a table: the lowest one counts, however high the others are."""
+    """The hand is above a table: the lowest state is named, however high the others are."""
     states = panda.random_configurations(np.random.default_rng(0), 20)
     Bw = np.array([[-np.inf, np.inf]] * 6)
     Bw[2, 0] = 0.0
@@ -162,7 +162,7 @@ def test_F_is_what_pinocchio_says_and_J_is_its_slope(robot, seed):
 
 
 def test_a_hand_turns_freely_about_an_axis_and_about_no_other(baxter):
-    """Turned about it, F is 0; turned about another axis, F is the angle; projections spread."""
+    """A rotation about the axis gives F = 0, about another axis F is the angle."""
     left, right = baxter.end_effectors
     _, _, (held, *_) = hold(baxter, "tray-over-table")
     manifold = RegionConstraint(baxter, (held,))
@@ -210,14 +210,14 @@ def stretches(robot, rng, step, tries):
 
 
 def along(direction, fallback):
-    """A rotation (3, 3) whose first column is a direction."""
+    """Return a rotation (3, 3) whose first column is a direction."""
     length = np.linalg.norm(direction)
     x = direction / length if length > 1e-9 else fallback
     return Rotation.align_vectors([x], [[1.0, 0.0, 0.0]])[0].as_matrix()
 
 
 def bulging(robot, T, kind, rng):
-    """A region whose bound both ends of poses T (k, 4, 4) keep, and the middle breaks most."""
+    """Return a region that both ends of poses T (k, 4, 4) satisfy and the middle violates most."""
     ends, middle = T[[0, -1]], T[len(T) // 2]
     if kind == "position":
         centre = ends[:, :3, 3].mean(axis=0)
@@ -243,7 +243,7 @@ def bulging(robot, T, kind, rng):
 
 
 def require_bound(robot, kind, step, rng, tries):
-    """The largest excess between two states, as a share of what the bound allows."""
+    """Return the largest violation between two states, as a fraction of the proven bound."""
     share = 0.0
     for states in stretches(robot, rng, step, tries):
         region = bulging(robot, relative(robot, states), kind, rng)

@@ -87,7 +87,7 @@ def test_chains_survive_json_and_need_their_base(panda):
 
 @pytest.mark.parametrize("hand", ["right_gripper", "base"])
 def test_a_base_that_stands_still_is_refused_unless_the_region_says_so(hand):
-    """The other arm's hand, which is not planned, was taken for a frame of the world."""
+    """The other arm's hand, which does not move, must not be taken for a frame of the world."""
     arm, region = robot_from_source({"name": "baxter-left"}), to_plain(handle_region())
     zero = np.zeros(arm.dof)
     problem = PlanningProblem("two arms", arm, Scene("empty", ()), zero, zero[None]).to_dict()
@@ -104,7 +104,7 @@ def test_a_base_that_stands_still_is_refused_unless_the_region_says_so(hand):
 
 
 def handle_errors(problem, states, resolution=0.002):
-    """Largest distance [m] and angle [rad] of the hand from the bar, without the turn about it."""
+    """Return largest distance [m] and angle [rad] between hand and bar, except about its axis."""
     metres = radians = 0.0
     for a, b in pairwise(states):
         for s in np.linspace(0.0, 1.0, max(2, int(np.ceil(np.linalg.norm(b - a) / resolution)))):
@@ -116,7 +116,7 @@ def handle_errors(problem, states, resolution=0.002):
 
 @pytest.mark.parametrize("name", ["birrt", "ompl-projected", "atlas-rrt", "tb-rrt"])
 def test_every_planner_opens_the_door(panda, door, name):
-    """Certified, hand always at the handle, last state lets the next phase open the fingers."""
+    """Paths are certified and keep the hand at the handle; at the end the fingers can open."""
     found = solve(door, planner_named(name), Budget(seconds=30.0), seed=0)
     assert found.solved, (found.plan.status, found.certificate and found.certificate.reasons)
     states = found.path.states
@@ -137,7 +137,7 @@ def test_the_certificate_sees_a_hand_that_lets_go(door, opened):
 
 
 def test_the_certificate_sees_the_door_hit_something(door, opened):
-    """A brick in the path of the panel's upper end, not in the arm's."""
+    """A brick is in the path of the panel's upper end, not in the path of the arm."""
     brick = SceneObject("brick", Box((0.1, 0.1, 0.1)), pose((0.35, -0.3, 1.33)))
     blocked = replace(door, scene=door.scene.with_objects(brick))
     checker = blocked.collision_checker()

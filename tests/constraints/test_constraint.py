@@ -1,4 +1,4 @@
-"""The interface of a constraint: one class is projected onto, searched on, and moves codes."""
+"""The interface of constraints: projection, search and update of codes with a new class."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -59,7 +59,7 @@ CIRCLE = JointsOnCircle(0, 2, (0.0, 0.5), 0.5, 7)
 
 @pytest.fixture(scope="module")
 def pole(panda):
-    """A thin wall beside the arm at home, on its way to the other side of the circle."""
+    """Return a thin wall beside the arm's home pose, between the two sides of the circle."""
     return Scene("pole", (SceneObject("pole", Box((0.05, 0.05, 1.2)), pose((0.45, 0.3, 0.6))),))
 
 
@@ -81,7 +81,7 @@ def test_a_constraint_in_python_is_searched_on(panda, pole):
 
 
 def test_projection_in_numpy_ends_where_compiled_projection_does(panda):
-    """On task-space regions, which have both."""
+    """Both projections exist for task-space regions."""
     regions = RegionConstraint(panda, (upright_box(0.05),))
     draws = panda.random_configurations(np.random.default_rng(1), 200)
     both = 0

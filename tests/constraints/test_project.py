@@ -11,7 +11,7 @@ from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, upright
 
 
 def region_at(position, half):
-    """A box of half width [m] about a world position, any orientation."""
+    """Return a region of half width [m] around a world position, for any orientation."""
     T0_w = np.eye(4)
     T0_w[:3, 3] = position
     return TaskSpaceRegion(T0_w, np.eye(4), np.array([(-half, half)] * 3 + [(-np.inf, np.inf)] * 3))
@@ -21,13 +21,13 @@ UNREACHABLE = region_at((5.0, 0.0, 0.0), 0.1)
 
 
 def at_limits(robot, samples, share):
-    """Configurations with about this share of the joints at one of their limits."""
+    """Return configurations with this fraction of joints at one of their limits."""
     place = np.random.default_rng(6).random(samples.shape) / share
     return np.where(place < 0.5, robot.lower, np.where(place < 1.0, robot.upper, samples))
 
 
 def projected(manifold, samples, **options):
-    """The samples that are projected (k, n)."""
+    """Return the samples whose projection succeeds (k, n)."""
     found = (manifold.project(q, **options) for q in samples)
     return np.array([q for q in found if q is not None])
 
@@ -77,7 +77,7 @@ def test_an_unreachable_region_and_what_is_not_a_number_fail(panda):
     assert len(projected(RegionConstraint(panda, (UNREACHABLE,)), samples)) == 0
     manifold = RegionConstraint(panda, (upright(),))
     assert manifold.project(np.full(7, np.nan)) is None
-    # without iterations it only checks
+    # with 0 iterations, a projection only checks the residual
     assert manifold.project(samples[0], max_iterations=0) is None
     there = manifold.project(samples[0])
     np.testing.assert_array_equal(manifold.project(there, max_iterations=0), there)

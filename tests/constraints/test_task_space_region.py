@@ -44,9 +44,9 @@ def random_pose(rng, spread=0.5):
 
 
 def random_region(rng, base=None):
-    """Random frames and bounds; about a third of the rows free or bounded on one side only.
+    """Return a region with random frames and bounds.
 
-    Every second one bounds the tilt, too.
+    A third of the rows are free or bounded on one side only; every second region bounds the tilt.
     """
     centre, width = rng.uniform(-1, 1, 6), rng.uniform(0, 1, 6)
     Bw = np.stack([centre - width, centre + width], axis=1)
@@ -60,13 +60,13 @@ def random_region(rng, base=None):
 
 
 def box(half, **changes):
-    """A region of half width `half` about the world's axes."""
+    """Return a region of half width `half` with the axes of the world."""
     values = {"T0_w": np.eye(4), "Tw_e": np.eye(4), "Bw": np.tile((-half, half), (6, 1))}
     return TaskSpaceRegion(**(values | changes))
 
 
 def displacement(region, T_world_e):
-    """Position, rotation vector and tilt (7,) of a pose in a region, by the definition."""
+    """Return position, rotation vector and tilt (7,) of a pose in a region, by the definition."""
     T = np.linalg.inv(region.T0_w) @ T_world_e @ np.linalg.inv(region.Tw_e)
     chord = np.linalg.norm(T[:3, 2] - (0.0, 0.0, 1.0))
     tilt = 2.0 * np.arcsin(min(0.5 * chord, 1.0))
@@ -74,13 +74,13 @@ def displacement(region, T_world_e):
 
 
 def of_hand(robot, region, q):
-    """The displacement (7,) of the hand at q, seen from the frame that the region hangs on."""
+    """Return the displacement (7,) of the hand at q in the base frame of the region."""
     base = robot.pose(q, region.base) if isinstance(region, TaskSpaceRegionChain) else np.eye(4)
     return displacement(region, np.linalg.inv(base) @ robot.pose(q))
 
 
 def outside(region, x):
-    """Signed distance of displacements (7,) outside the bounds, bounded rows only."""
+    """Return the signed violation of bounds by displacements (7,), for bounded rows only."""
     lower, upper = region.bounds.T
     return (np.minimum(x - lower, 0.0) + np.maximum(x - upper, 0.0))[region.bounded_rows]
 
@@ -151,7 +151,7 @@ def test_sampled_poses_lie_inside():
 
 
 def test_sampled_poses_fill_a_cone():
-    """However thin; of its tilts, the larger half is met more often."""
+    """Cones of any width; large tilts are more frequent than small ones."""
     rng = np.random.default_rng(8)
     for tilt in (1e-3, 0.3, 2.5):
         bounds = np.array([(0.0, 0.1)] * 3 + [FREE, FREE, (-1.0, 2.0)])
@@ -164,7 +164,7 @@ def test_sampled_poses_fill_a_cone():
 
 
 def test_a_tilt_of_zero_is_kept_as_turns_of_zero_which_are_smooth():
-    """The bound of 0 of the tilt itself has no derivative there."""
+    """A bound of 0 on the tilt has no derivative at 0, so it is stored as two rotations of 0."""
     region = box(1.0, tilt=0.0)
     assert region.tilt is None and "tilt" not in to_plain(region)
     np.testing.assert_array_equal(region.Bw[3:5], np.zeros((2, 2)))
@@ -185,7 +185,7 @@ def test_fields_are_read_only_and_free_positions_are_not_sampled():
 @pytest.mark.parametrize("away", [0.0, 1e-9, 1e-6, 2e-4, 0.1])
 @pytest.mark.parametrize("near", [0.0, np.pi])
 def test_rotation_vectors_at_no_turn_and_at_half_a_turn(panda, near, away):
-    """exp(log R) = R: at half a turn either sign of the axis is right."""
+    """exp(log R) = R; for a rotation by pi, both signs of the axis are correct."""
     rng, angle = np.random.default_rng(0), abs(near - away)
     for axis in (*np.eye(3), *rng.standard_normal((20, 3))):
         turn = Rotation.from_rotvec(angle * axis / np.linalg.norm(axis))
@@ -201,7 +201,7 @@ def region(data):
 
 
 def inside(data, T_world_e):
-    """Whether an end-effector pose (4, 4) satisfies a region, by its definition."""
+    """Return whether an end-effector pose (4, 4) satisfies a region, by the definition."""
     r = region(data)
     x = displacement(r, T_world_e)
     return bool(((x >= r.bounds[:, 0] - 1e-9) & (x <= r.bounds[:, 1] + 1e-9)).all())
@@ -228,7 +228,7 @@ def test_the_box_is_the_papers_constraint_and_is_written_as_before_there_were_co
 
 @pytest.mark.parametrize("axis", ["x", "-x", "y", "-y", "z", "-z"])
 def test_upright_keeps_any_axis_of_the_hand_up_and_leaves_yaw_free(axis):
-    """To the angle asked for in any direction; the box lets a hand lean by more."""
+    """The tilt is bounded in every direction; bounds on single rotations allow larger tilts."""
     rng, fields, seen = np.random.default_rng(0), {"tilt": 0.2, "axis": axis}, set()
     zero = [region({name: {**fields, "tilt": 0.0}}) for name in ("upright", "upright-box")]
     direction = np.eye(3)["xyz".index(axis[-1])] * (-1 if axis[0] == "-" else 1)

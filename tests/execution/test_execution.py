@@ -105,7 +105,7 @@ def test_a_task_is_executed_by_contact_alone(task_solution, monkeypatch):
     assert found.placed and not found.faults
     ends = found.samples[-1].doors
     assert ends["dagger_door_left"] < -1.3  # only the fingers can have opened it
-    # without force the fingers open no door
+    # without contact force the fingers cannot open a door
     monkeypatch.setattr(execute, "GRIP_FORCE_N", 0.0)
     lost = execute_task(task_solution, "computed-torque")
     assert lost.samples[-1].doors["dagger_door_left"] > -0.5 and lost.placed is False

@@ -1,4 +1,4 @@
-"""A folder of problems and what is expected there of planners, one's own among them."""
+"""`check-tables FOLDER`: expectations of planners, also of the user's, on a folder of problems."""
 
 import json
 

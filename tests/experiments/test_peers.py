@@ -1,4 +1,4 @@
-"""The adapters of other planners; what needs their packages (extra `peers`) is skipped."""
+"""Adapters of planners of others; tests that need their packages (extra `peers`) are skipped."""
 
 from dataclasses import replace
 from importlib import metadata
@@ -39,7 +39,7 @@ def problem():
 
 @pytest.fixture(scope="module")
 def tray():
-    """Both hands of a baxter carry it; a problem that is not reported."""
+    """Problem in which both hands of a baxter carry a tray; no table reports it."""
     robot = robot_from_source({"name": "baxter"})
     return with_first_goal(carrying_problem(robot, "tray-through-window", 102))
 
@@ -61,7 +61,7 @@ def test_an_adapter_plans_a_certified_path_or_names_what_installs_it(problem, na
     assert external_planner(name).made_by.startswith(made_by)
     if name == "drake":  # in the kitchen it may need hours
         problem = replace(problem, scene=Scene("empty", ()))
-    # they take no iterations; so many seconds end one that hangs, and nothing else
+    # these planners ignore iterations; the time limit only ends one that hangs
     solution = solve(problem, name, Budget(seconds=1200.0), seed=0)
     assert solution.solved, (solution.plan.detail, solution.certificate)
 
@@ -79,7 +79,7 @@ def test_a_hold_with_freedom_is_refused(tray):
     (held,) = fixed_holds(tray)
     loose = held.changed(Bw=np.vstack([held.Bw[:5], [[-0.1, 0.1]]]))
     with_play = replace(tray, constraint=(loose, *tray.constraint[1:]))
-    told = r"frame of 'left_gripper' has bounds .*\[-0.1, 0.1\].*make all six 0"
+    told = r"frame of 'left_gripper' has bounds .*\[-0.1, 0.1\].*set all six to 0"
     refused(told, fixed_holds, with_play)
     refused("one upright constraint", upright_region, tray)
 
@@ -120,7 +120,7 @@ def test_the_box_of_roll_pitch_and_yaw_lies_in_the_bounds_with_a_twelfth_left(pr
 
 @pytest.mark.parametrize("tilt", [0.1, 1.5])
 def test_the_same_box_lies_in_a_cone(problem, tilt):
-    """Its axis and the vertical, at the corners of the box and any roll."""
+    """Angle between the cone's axis and the vertical at corners of the box, for any roll."""
     cone = upright(tilt, "-z")
     region = upright_region(replace(problem, constraint=(cone,)))
     for roll, *rest in np.column_stack(

@@ -1,4 +1,4 @@
-"""Rows of solutions, and the table regression, which names what changes in them."""
+"""Rows of solutions, and the regression test of tables, which names changes."""
 
 import time
 from dataclasses import replace
@@ -64,7 +64,7 @@ CHANGES = (  # in both runs or in one; what differs where values must be equal, 
 
 
 def test_equality_here_and_stated_bounds_elsewhere():
-    """Where values must be equal, every changed run gives a line."""
+    """With equal processor and versions, every changed run gives a line."""
     expected = Expectations(HERE, outcome(0) | outcome(1))
     for both, change, exactly, by_bounds in CHANGES:
         outcomes = outcome(0, **change) | outcome(1, **(change if both else {}))
@@ -197,7 +197,7 @@ PARTS = ("t_goals_s", "t_encode_s", "t_predict_s", "t_optimize_s", "t_plan_s", "
 
 
 def row_of(problem, timings, budget=20_000):
-    """The row of birrt after a slow proposer."""
+    """Return the row of `birrt` with a slow prediction stage."""
 
     def think(query, observation):
         time.sleep(timings.total)
@@ -223,7 +223,7 @@ def test_every_part_is_in_its_column_and_the_total_is_their_sum(problem):
 
 
 def test_g_is_that_of_what_is_sampled(problem):
-    """g(q) = F(q)^T F(q): none on the manifold, of any q without a model, empty without samples."""
+    """g(q) = F(q)^T F(q): 0 on the manifold, also without a model, None without samples."""
 
     def g_of(covariance):
         uniform = Uniform(problem.robot.lower, problem.robot.upper)
@@ -240,7 +240,7 @@ def test_g_is_that_of_what_is_sampled(problem):
 
 
 def test_every_way_to_fail_has_its_reason():
-    """A planner status or certificate fault without a reason would fail a run at its end."""
+    """Every planner status and every certificate fault has a reason of failure."""
     of_trajectories = ["velocity", "acceleration", "jerk", "effort", "current", "torque_rate"]
     for status in set(PlanStatus) - {PlanStatus.SOLVED}:
         assert FailReason(status)

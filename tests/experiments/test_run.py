@@ -58,7 +58,7 @@ def test_rows_are_sorted_complete_and_those_of_two_processes(four_rows, tmp_path
 
 
 class Killed(BaseException):
-    """Stands for any end of a run."""
+    """Exception that stands for an interruption of a run."""
 
 
 def test_an_interrupted_run_keeps_its_rows_and_continues_without_duplicates(four_rows, tmp_path):
@@ -125,7 +125,7 @@ def test_an_error_in_a_worker_is_the_error_of_the_run(tmp_path, monkeypatch):
 @pytest.mark.slow
 def test_an_interrupt_leaves_no_worker_and_a_run_that_the_same_command_continues(tmp_path):
     options = ("--problems", 4, "--planners", "birrt", "--seeds", 30, "--iterations", 20_000)
-    # a shell in the background makes its children deaf to Ctrl-C
+    # children of a shell in the background ignore Ctrl-C
     hear_ctrl_c = partial(signal.signal, signal.SIGINT, signal.default_int_handler)
     words = ("reproduce", "place-task", *options, "--jobs", 2, "--out", tmp_path)
     started = start(words, hear_ctrl_c)
@@ -151,7 +151,7 @@ SEEDS = replace(ONE, problems=(2, 10), seeds=(0, 1))
 
 
 def perform(mark, task):
-    """Does the task: kills its process (always or once), stops, runs out of memory, or answers."""
+    """Perform a task: kill the process (always or once), hang, use up memory, or answer."""
     if task == "dies" or (task == "dies once" and not mark.exists()):
         mark.touch()
         os.kill(os.getpid(), signal.SIGKILL)

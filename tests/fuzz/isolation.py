@@ -1,4 +1,4 @@
-"""Reads hostile files in a process of bounded memory and time; notes access outside its folder."""
+"""Read hostile files in a process of bounded memory and time; record access outside its folder."""
 
 import multiprocessing
 import os
@@ -20,7 +20,7 @@ FORBIDDEN = ("subprocess.Popen", "os.system", "os.exec", "os.posix_spawn")
 FORBIDDEN += ("socket.connect", "socket.bind")
 CHANGING = ("remove", "rename", "rmdir", "mkdir", "link", "symlink", "chmod")
 
-# of the process that reads:
+# limits of the process that reads:
 reader, folder = None, Path()
 beyond = []  # what the file that is being read led to
 watching = False
@@ -28,7 +28,7 @@ watching = False
 
 @contextmanager
 def judge(reader):
-    """Yields a function: content of a file -> the reader's fault, or ""."""
+    """Yield a function that maps the content of a file to the reader's fault, or ""."""
 
     def fault(content):
         try:
@@ -47,7 +47,7 @@ def judge(reader):
 
 
 def confine(of_reader, in_folder):
-    """Read the good file, which loads what reading needs; then limit this process and watch it."""
+    """Read a valid file, which imports all modules; then limit and watch this process."""
     global reader, folder
     reader, folder = of_reader, in_folder
     answer(reader.good())
@@ -60,7 +60,7 @@ def confine(of_reader, in_folder):
 
 
 def answer(content):
-    """Use the file once: the fault, or "". A CvqmptError in one line is a good answer."""
+    """Use the file once; return the fault, or "". A CvqmptError in one line is no fault."""
     global watching
     path = folder / reader.file
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -37,12 +37,12 @@ json_values = st.sampled_from(VALUES) | st.sampled_from(VALUES) | st.floats() | 
 
 
 def rarely(usual, rare, one_in):
-    """A strategy that draws from another one now and then."""
+    """A strategy that sometimes draws from another one."""
     return st.integers(1, one_in).flatmap(lambda k: rare if k == one_in else usual)
 
 
 def damaged(content):
-    """Bytes with up to five stretches cut, doubled, changed; numbers replaced; or cut short."""
+    """Bytes with up to five parts removed, doubled or changed; numbers replaced; or truncated."""
     digits = [k for k, byte in enumerate(content[:600]) if 48 <= byte <= 57] or [0]
     places = st.integers(0, len(content))
     pieces = st.builds(bytes.__mul__, st.sampled_from(PIECES), st.sampled_from((1, 1, 1, 300)))
@@ -53,7 +53,7 @@ def damaged(content):
 
 
 def spliced(content, changes):
-    """Bytes with stretches (begin, length, new) replaced; doubled where new is None."""
+    """Bytes with parts (start, length, new) replaced; a part is doubled if `new` is None."""
     data = bytearray(content)
     for at, length, new in changes:
         data[at : at + length] = 2 * data[at : at + length] if new is None else new

@@ -66,7 +66,7 @@ class Reader(NamedTuple):
 
 @cache
 def problem():
-    """A problem with every kind of shape, something carried, and regions of both forms."""
+    """Return a problem with every kind of shape, a load, and regions of both forms."""
     cloud = PointCloud(np.random.default_rng(0).uniform(-0.1, 0.1, (20, 3)), 0.01)
     solid = Box((0.1, 0.2, 0.3)), Cylinder(0.1, 0.2), Sphere(0.1), ConvexMesh(0.1 * np.eye(4, 3))
     placed = ((f"s{k}", it, pose((2.0, k, 0.5))) for k, it in enumerate((*solid, cloud)))
@@ -87,7 +87,7 @@ def motion(ending):
 
 
 def saved(name, save):
-    """What `save` writes to a path of that name."""
+    """Return the content that `save` writes to a file of this name."""
     with tempfile.TemporaryDirectory() as folder:
         save(Path(folder) / name)
         return (Path(folder) / name).read_bytes()
@@ -206,7 +206,7 @@ def weights(path):
 
 
 class Runs:
-    """Pickles to a call, which an unsafe reader executes."""
+    """Object whose pickle contains a call, which an unsafe reader executes."""
 
     def __init__(self, call, *arguments):
         self.call = call, arguments
@@ -216,7 +216,7 @@ class Runs:
 
 
 def checkpoint():
-    """As torch writes it."""
+    """Return a checkpoint as torch writes it."""
     state = {f"layer.{k}": torch.arange(12.0).reshape(3, 4) for k in range(4)}
     kept = {"encoder_state": state, "epoch": 3, "optimizer": {"lr": 0.1}}
     return saved("a.pkl", partial(torch.save, kept))
@@ -236,7 +236,7 @@ def damaged_or_running(content):
 
 @cache
 def dataset():
-    """Content by name of a small folder of training data."""
+    """Return the files of a small folder of training data: content by name."""
     with tempfile.TemporaryDirectory() as folder:
         write_dataset(Path(folder), shards=((20, 1),), paths_per_scene=2)
         files = [path for path in Path(folder).rglob("*") if path.is_file()]

@@ -1,4 +1,4 @@
-"""With extreme numbers every plan ends within its budget, by a certified path or a reason."""
+"""With extreme numbers every plan ends within its budget, with a certified path or a reason."""
 
 import time
 from dataclasses import replace
@@ -25,7 +25,7 @@ ANY = ("birrt", "guided-birrt", "cvq-mpt", "roadmap-cvq", "mpnet")  # plan witho
 
 
 def between(rng, scene=EMPTY, spread=0.5):
-    """From one free configuration to another near by."""
+    """Return a problem from a free configuration to a near one."""
     robot = panda()
     checker = PlanningProblem("extreme", robot, scene, READY, READY[None]).collision_checker(1e-3)
     drawn = np.clip(READY + rng.uniform(-spread, spread, (200, 7)), robot.lower, robot.upper)
@@ -34,7 +34,7 @@ def between(rng, scene=EMPTY, spread=0.5):
 
 
 def singular(rng):
-    """The wrist over the first axis, the elbow as straight as possible, two axes aligned."""
+    """Return a problem at a singularity: wrist above axis 1, elbow straight, two axes aligned."""
     problem = between(rng)
     start = problem.start.copy()
     start[[0, 1, 2, 4]] = rng.choice([0.0, 0.5]), 0.0, 0.0, 0.0
@@ -43,7 +43,7 @@ def singular(rng):
 
 
 def at_limits(rng):
-    """The last joints at both of their limits."""
+    """Return a problem with the last joints at both of their limits."""
     problem = between(rng)
     start, goal = problem.start.copy(), problem.goals.copy()
     for j in (4, 6):
@@ -52,14 +52,14 @@ def at_limits(rng):
 
 
 def already_there(rng):
-    """The goal is the start, among others or alone."""
+    """Return a problem with the start as a goal, alone or with other goals."""
     problem = between(rng)
     others = problem.goals if rng.random() < 0.5 else problem.goals[:0]
     return problem.changed(goals=np.concatenate([others, problem.start[None]]))
 
 
 def blocked(rng):
-    """A peg beside the shoulder: a quarter turn of joint 1 hits it, with any other joints."""
+    """Return a problem without a solution: a peg beside the shoulder blocks joint 1."""
     peg = SceneObject("peg", Box((0.01, 0.01, 0.02)), pose((0.09, 0.0, 0.25)))
     problem = between(rng, Scene("blocked", (peg,)), spread=0.1)
     quarter = problem.robot.random_configurations(rng, 200)
@@ -71,13 +71,13 @@ def blocked(rng):
 
 
 def region(T, half_xy, half_z, half_angles):
-    """Bounds around the pose T (4, 4)."""
+    """Return a region with bounds around the pose T (4, 4)."""
     halves = np.array([half_xy, half_xy, half_z, *[half_angles] * 3])
     return TaskSpaceRegion(T, np.eye(4), np.stack([-halves, halves], axis=1))
 
 
 def narrow(rng, width=0.0):
-    """The hand keeps its height within a width [m]; goals come from a region of that height."""
+    """Return a problem that bounds the hand's height to a width [m], with a goal region there."""
     problem = between(rng)
     T = problem.robot.pose(problem.start)
     level, goals = region(T, FREE, width / 2, FREE), region(T, 0.15, 0.0, 0.3)
@@ -85,7 +85,7 @@ def narrow(rng, width=0.0):
 
 
 def crowded(rng, count, size, far):
-    """Among so many boxes and balls of one size [m], `far` [m] and up to 1 m more from the base."""
+    """Return a problem among boxes and balls of one size [m], `far` to `far` + 1 [m] away."""
     objects = []
     for k in range(count):
         direction = rng.standard_normal(3)
@@ -97,7 +97,7 @@ def crowded(rng, count, size, far):
 
 
 def denormal(rng):
-    """Numbers near zero in the start, goal, bounds and poses."""
+    """Return a problem with denormal numbers in start, goal, bounds and poses."""
     problem = between(rng)
     start, goal = problem.start.copy(), problem.goals.copy()
     start[rng.integers(0, 3)] = TINIEST * rng.choice([-1.0, 1.0])

@@ -1,4 +1,4 @@
-"""Commands as tests run them: in this process, or as others do, in a process of its own."""
+"""Run commands in tests, in this process or in a new process."""
 
 import os
 import subprocess
@@ -12,7 +12,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def refused(capsys, *words):
-    """The one line on standard error of a command that is refused."""
+    """Return the one line on standard error of a command that is refused."""
     code = main([str(word) for word in words])
     captured = capsys.readouterr()
     lines = captured.err.splitlines()
@@ -22,13 +22,13 @@ def refused(capsys, *words):
 
 
 def environment(**changes):
-    """This process's environment with changes; commands import the code under test."""
+    """Return the environment with changes, in which commands import the code under test."""
     paths = os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))
     return {**os.environ, "PYTHONPATH": paths, **changes}
 
 
 def python(code, *words, **changes):
-    """What a fresh process of Python prints, which must end with 0."""
+    """Run code in a new Python process, which must exit with 0; return its output."""
     command = [sys.executable, "-c", code, *map(str, words)]
     done = subprocess.run(command, env=environment(**changes), capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

@@ -1,10 +1,10 @@
-"""Kernels called from Python, for tests: compiled for the arguments given and kept nowhere."""
+"""Call kernels from Python in tests; they are compiled for the given arguments and not cached."""
 
 from numba import njit
 
 
 def from_python(kernel):
-    """A kernel with a wrapper through which Python can call it."""
+    """Return a wrapper through which Python can call a kernel."""
     kernel = getattr(kernel, "dispatcher", kernel)  # of those whose source is copied: itself
     options = {
         name: value

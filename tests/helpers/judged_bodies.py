@@ -1,4 +1,4 @@
-"""Bodies of the second judge: triangles and balls, whether two overlap, and how deep (fcl)."""
+"""Bodies of the second judge (triangles and balls), and overlap and depth of two bodies by fcl."""
 
 from itertools import product
 
@@ -7,12 +7,12 @@ import numpy as np
 import trimesh
 from scipy.spatial import cKDTree
 
-# of a pair that overlaps, at which its depth is measured, at most
+# largest numbers of contacts and of corners at which the depth of an overlapping pair is measured
 CONTACTS, CORNERS = 2000, 100
 
 
 class Body:
-    """Triangles (f, 3, 3) [m] of bodies that move together; open or self-crossing are allowed."""
+    """Triangles (f, 3, 3) [m] that move together; surfaces may be open or self-crossing."""
 
     radius = 0.0
 
@@ -21,10 +21,10 @@ class Body:
             triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3)
         )
         self.name, self.group = name, group
-        # each corner once
+        # merged mesh: each corner occurs once
         self.triangles, self.points = np.array(mesh.triangles), np.array(mesh.vertices)
         parts = trimesh.graph.connected_component_labels(mesh.edges, node_count=len(self.points))
-        # a corner of each part
+        # one corner of each connected part
         self.one_of_each = self.points[np.unique(parts, return_index=True)[1]]
         self.box = corners_around(self.points)
         shape = fcl.BVHModel()
@@ -38,7 +38,7 @@ class Body:
         return self.object
 
     def holds(self, points):
-        """Whether points (k, 3) are inside, by the winding number of the surface around them."""
+        """Return whether points (k, 3) are inside, by the winding number of the surface (k,)."""
         found = ((points > self.box[0]) & (points < self.box[-1])).all(axis=1)
         for k in np.flatnonzero(found):
             a, b, c = np.moveaxis(self.triangles - points[k], 1, 0)
@@ -48,7 +48,7 @@ class Body:
         return found
 
     def distances(self, points):
-        """Of points (k, 3) to the surface, (k,)."""
+        """Return the distances (k,) of points (k, 3) to the surface [m]."""
         repeated = (np.tile(point, (len(self.triangles), 1)) for point in points)
         away = (trimesh.triangles.closest_point(self.triangles, p) - p for p in repeated)
         return np.array([np.linalg.norm(each, axis=1).min() for each in away])
@@ -70,17 +70,17 @@ class Balls:
 
 
 def corners_around(points):
-    """Of the box along the axes around points, (8, 3): the lowest first, the highest last."""
+    """Return the corners (8, 3) of the axis-aligned box around points, from lowest to highest."""
     return np.array(list(product(*zip(points.min(axis=0), points.max(axis=0), strict=True))))
 
 
 def furthest(body, direction):
-    """The point (3,) of a body that is furthest along a unit direction."""
+    """Return the point (3,) of a body that is furthest along a unit direction."""
     return body.points[(body.points @ direction).argmax()] + body.radius * direction
 
 
 def touching(a, b, T):
-    """Whether surfaces of a and b overlap; T (4, 4) is the pose of b in the frame of a."""
+    """Return whether surfaces of a and b overlap; T (4, 4) is the pose of b in the frame of a."""
     if isinstance(a, Balls) and isinstance(b, Balls):
         return depth(a, b, T) > 0.0
     if isinstance(b, Balls):
@@ -94,14 +94,14 @@ def touching(a, b, T):
 
 
 def swallowed(a, b, T):
-    """Whether a part of one body is inside the other."""
+    """Return whether a connected part of one body is inside the other; T as in `touching`."""
     if isinstance(a, Body) and a.holds(moved(T, b.one_of_each)).any():
         return True
     return isinstance(b, Body) and bool(b.holds(moved(np.linalg.inv(T), a.one_of_each)).any())
 
 
 def depth(a, b, T):
-    """Length [m] of the shortest move that ends the overlap of a and b, or less."""
+    """Return a lower bound on the penetration depth of a and b [m]; T as in `touching`."""
     if isinstance(a, Balls) and isinstance(b, Balls):
         return a.radius + b.radius - a.tree.query(moved(T, b.points))[0].min()
     if isinstance(a, Balls):
@@ -125,7 +125,7 @@ def depth(a, b, T):
 
 
 def triangle_depths(first, second):
-    """Least overlaps (k,) of triangles (k, 3, 3) along 11 axes: shortest moves that part them."""
+    """Return penetration depths (k,) [m] of triangles (k, 3, 3): least overlap along 11 axes."""
     e, f = np.roll(first, -1, axis=1) - first, np.roll(second, -1, axis=1) - second
     edges = np.cross(e[:, :, None], f[:, None]).reshape(len(e), 9, 3)
     axes = np.concatenate(

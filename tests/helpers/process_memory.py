@@ -7,7 +7,7 @@ from pathlib import Path
 
 
 class Mallinfo(ctypes.Structure):
-    """What `mallinfo2` of the GNU C library returns: ten sizes, of which two are used here."""
+    """Struct that `mallinfo2` of the GNU C library returns; two of its ten sizes are used."""
 
     _fields_ = [
         (name, ctypes.c_size_t)

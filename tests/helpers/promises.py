@@ -1,4 +1,4 @@
-"""Pytest plugin of docs/guarantees.md: trials of each promise, and their result.
+"""Pytest plugin of docs/guarantees.md: numbers of trials of each promise, and their results.
 
 A test names its promise and trials by `@pytest.mark.promise(words, unit, ci=..., long=...)`: `ci`
 with every commit, `long` with `pytest --long`; without numbers hypothesis's examples. The fixture

@@ -24,7 +24,7 @@ SHAPES = json.loads((Path(__file__).parents[1] / "data" / "published_shapes.json
 
 
 def waves(positions, width):
-    """Sines on even, cosines on odd dimensions, base 10000."""
+    """Return the position code: sines in even and cosines in odd dimensions, base 10000."""
     angles = np.arange(positions)[:, None] / 10000 ** (2 * (np.arange(width) // 2) / width)
     return torch.tensor(
         np.where(np.arange(width) % 2, np.cos(angles), np.sin(angles)), dtype=torch.float32
@@ -44,7 +44,7 @@ def random_tensor(name, shape, generator):
 
 
 def random_states():
-    """Every part's tensors, by name, seeded."""
+    """Return random tensors of every part by name; they depend on the seed."""
     generator = torch.Generator().manual_seed(0)
     return {
         part: {name: random_tensor(name, shape, generator) for name, shape in shapes.items()}

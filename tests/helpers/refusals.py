@@ -18,7 +18,7 @@ def table(name):
 
 
 def refused(pattern, call, *args, error=REFUSALS, **kwargs):
-    """The error's one printable line, which matches a pattern."""
+    """Return the error's message, which must be one printable line that matches a pattern."""
     with pytest.raises(error, match=pattern) as caught:
         call(*args, **kwargs)
         pytest.fail(f"not refused, though {pattern!r} was expected: {args} {kwargs}")

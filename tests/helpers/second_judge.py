@@ -1,8 +1,8 @@
-"""A second judge of paths without code of cvqmpt_lab: the files' triangles and fcl, state by state.
+"""Second, independent judge of paths: no code of cvqmpt_lab, triangles of the files, fcl.
 
-It reads json, URDF and meshes itself and walks a path in steps in which no point moves by more than
-`STEP`. There are no hulls: links and meshes are the files' triangles, clouds are balls, maps are
-cubes. Round solids are inscribed polyhedra, so every overlap found is real.
+The judge reads json, URDF and meshes itself, and checks states of a path between which no point
+moves by more than `STEP`. It uses no hulls: links and meshes are the triangles of the files, clouds
+are balls, maps are cubes. Round solids are inscribed polyhedra, so every overlap found is real.
 """
 
 import json
@@ -15,22 +15,22 @@ import trimesh
 from judged_bodies import Balls, Body, depth, moved, swallowed, touching
 from scipy.spatial.transform import Rotation
 
-STEP = 2e-4  # [m] that a point moves between neighbouring states, at most
-STATES = 5  # of a pair that overlaps, at which its depth is measured, at most
-SIDES = 96  # of cylinders
-WORLD = 0  # group of what does not move; group k is carried by joint k
+STEP = 2e-4  # largest motion of a point between checked states [m]
+STATES = 5  # largest number of states at which the depth of an overlapping pair is measured
+SIDES = 96  # number of sides of the prism that stands for a cylinder
+WORLD = 0  # group of bodies that do not move; group k moves with joint k
 
 
 class Verdict(NamedTuple):
     """The deepest overlap found."""
 
-    depth: float  # length [m] of the shortest move that ends it, or less; 0 where nothing overlaps
+    depth: float  # lower bound on the penetration depth [m]; 0 if nothing overlaps
     pair: tuple[str, str] = ("", "")
-    at: float = 0.0  # number of the state; 12.5 is half-way from state 12 to 13
+    at: float = 0.0  # index of the state; 12.5 is half-way from state 12 to 13
 
 
 def body_of(item, group, T, folder):
-    """The body of an object or attachment in json, at T (4, 4) in its group."""
+    """Return the body of an object or attachment in json, at pose T (4, 4) in its group."""
     shape = item["shape"]
     if shape["type"] == "point_cloud":
         return Balls(item["name"], group, moved(T, np.array(shape["points"])), shape["radius"])
@@ -38,7 +38,7 @@ def body_of(item, group, T, folder):
 
 
 def triangles_of(shape, folder):
-    """Triangles (f, 3, 3) of a json shape; of a map: its cubes, padded along each axis in turn."""
+    """Return triangles (f, 3, 3) of a json shape; a map gives cubes, padded along one axis each."""
     match shape["type"]:
         case "box":
             return trimesh.creation.box(shape["size"]).triangles
@@ -61,7 +61,7 @@ def triangles_of(shape, folder):
 
 
 def link_triangles(geometry, folder):
-    """Triangles (f, 3, 3) of a <geometry> in a URDF of a folder."""
+    """Return triangles (f, 3, 3) of a <geometry> in a URDF of a folder."""
     (shape,) = geometry
     if shape.tag == "mesh":
         name = shape.get("filename").removeprefix("package://")
@@ -79,7 +79,7 @@ def numbers(element, key, otherwise):
 
 
 def pose_of(element):
-    """T (4, 4) of an element's <origin>."""
+    """Return the pose (4, 4) of an element's <origin>."""
     T, origin = np.eye(4), element.find("origin")
     T[:3, 3] = numbers(origin, "xyz", "0 0 0")
     T[:3, :3] = Rotation.from_euler("xyz", numbers(origin, "rpy", "0 0 0")).as_matrix()
@@ -87,7 +87,7 @@ def pose_of(element):
 
 
 def motion(joint, value):
-    """T (..., 4, 4) of a joint at its value [rad or m] (...)."""
+    """Return the transforms (..., 4, 4) of a joint at values (...) [rad or m]."""
     axis = numbers(joint.find("axis"), "xyz", "1 0 0")
     along = np.asarray(value, dtype=float)[..., None] * axis / np.linalg.norm(axis)
     T = np.tile(np.eye(4), (*along.shape[:-1], 1, 1))
@@ -99,7 +99,7 @@ def motion(joint, value):
 
 
 def held_value(joint, locked, joints):
-    """Value of a joint that does not move: from the file, its mimicked joint, or nearest to 0."""
+    """Return a held joint's value: by the file, its mimicked joint, or the value nearest to 0."""
     mimic, limit = joint.find("mimic"), joint.find("limit")
     if joint.get("name") in locked:
         return locked[joint.get("name")]
@@ -113,9 +113,9 @@ def held_value(joint, locked, joints):
 
 
 def holds(region):
-    """Whether a region in json keeps a hand at a thing: 2 cm, and 0.2 rad about two axes at least.
+    """Return whether a region in json fixes a hand to an object.
 
-    null is no bound.
+    Its bounds are at most 2 cm wide, and at most 0.2 rad about at least two axes; null: no bound.
     """
     wide = [np.inf if None in row else row[1] - row[0] for row in region["Bw"]]
     tilt = np.inf if region.get("tilt") is None else 2.0 * region["tilt"]
@@ -123,10 +123,10 @@ def holds(region):
 
 
 class Arm:
-    """Groups of rigidly joined links, their joints and bodies, of a problem's field "robot"."""
+    """Groups of rigidly joined links with joints and bodies, by the field "robot" of a problem."""
 
     def __init__(self, robot, folder, order):
-        """order: names of the joints as states give them."""
+        """Read the robot; order: names of joints in the order of states."""
         path = (folder / robot["urdf"]).resolve()
         root, locked = ElementTree.parse(path).getroot(), robot.get("locked", {})
         joints = {joint.get("name"): joint for joint in root.findall("joint")}
@@ -173,13 +173,13 @@ class Arm:
             self.excused.add(frozenset((link, before)))  # the nearest one before it that has a body
 
     def pairs(self, excused=()):
-        """Link pairs that must not overlap: of two groups, not adjacent, not excused."""
+        """Return pairs of links that must not overlap: other group, not adjacent, not excused."""
         skipped = self.excused | {frozenset(pair) for pair in excused}
         every = combinations(self.bodies, 2)
         return [(a, b) for a, b in every if a.group != b.group and {a.name, b.name} not in skipped]
 
     def carried(self, things, folder):
-        """Bodies of attachments in json."""
+        """Return the bodies of attachments in json."""
         hands = [self.frames[x.get("end_effector") or self.first] for x in things]
         return [
             body_of(x, k, T @ np.array(x["T_hand_object"]), folder)
@@ -187,9 +187,9 @@ class Arm:
         ]
 
     def carried_pairs(self, things, bodies, regions):
-        """Pairs of what is carried with a link or another thing, except what holds it.
+        """Return pairs of a load with links and other loads, except with the links that hold it.
 
-        A second hand holds a thing if a region of json with a base keeps it at the first one.
+        A second hand holds a load if a region in json with a base fixes this hand to the first.
         """
         holding = []
         for thing, body in zip(things, bodies, strict=True):
@@ -208,14 +208,14 @@ class Arm:
         return found + apart
 
     def poses(self, states):
-        """Of all groups (groups, k, 4, 4) at states (k, n)."""
+        """Return the poses of all groups (groups, k, 4, 4) at states (k, n)."""
         found = [np.tile(np.eye(4), (len(states), 1, 1))]
         for (before, T, joint), values in zip(self.joints, states.T, strict=True):
             found.append(found[before] @ T @ motion(joint, values))
         return np.array(found)
 
     def speeds(self, bodies, states):
-        """Bounds (n,) on motion of points per coordinate [m/rad or m/m] between states (k, n)."""
+        """Return bounds (n,) on motion of points per coordinate [m/rad or m/m]; states (k, n)."""
         outer, speeds = np.zeros(len(self.joints) + 1), np.ones(len(self.joints))
         for body in bodies:
             size = np.linalg.norm(body.points, axis=1).max() + body.radius
@@ -230,10 +230,10 @@ class Arm:
 
 
 class Judge:
-    """The bodies of a problem file and the pairs of them that must not overlap."""
+    """Bodies of a problem file, and the pairs of bodies that must not overlap."""
 
     def __init__(self, path, arm, excused=()):
-        """arm: of the file's field "robot". excused: names of more link pairs that may overlap."""
+        """Read a problem; arm: its field "robot"; excused: more pairs of links that may overlap."""
         problem = json.loads(path.read_text())
         things, objects = problem["attachments"], problem["scene"]["objects"]
         regions = problem.get("constraint", [])
@@ -246,7 +246,7 @@ class Judge:
         self.pairs = [*arm.pairs(excused), *in_hand, *product(self.moving, obstacles)]
 
     def walk(self, states):
-        """The deepest overlap on straight pieces between states (m, n)."""
+        """Return the deepest overlap on straight motions between states (m, n)."""
         speeds, worst = self.arm.speeds(self.moving, states), Verdict(0.0)
         for k, (first, last) in enumerate(pairwise(states)):
             shares = np.linspace(0.0, 1.0, int(np.ceil(speeds @ np.abs(last - first) / STEP)) + 1)
@@ -256,7 +256,7 @@ class Judge:
         return worst
 
     def outside(self, states):
-        """How far straight pieces between states (m, n) leave the regions, at most [m, rad]."""
+        """Return the largest violation of the regions between states (m, n) [m or rad]."""
         speeds, worst = self.arm.speeds(self.moving, states), 0.0
         for first, last in pairwise(states):
             shares = np.linspace(0.0, 1.0, int(np.ceil(speeds @ np.abs(last - first) / STEP)) + 1)
@@ -265,7 +265,7 @@ class Judge:
         return worst
 
     def excess(self, region, poses):
-        """How far a region in json is left at poses of the groups (groups, k, 4, 4)."""
+        """Return the largest violation of a region in json at poses of groups (groups, k, 4, 4)."""
         base, e = region.get("base"), region.get("end_effector")
         b, T_base = self.arm.frames[base] if base else (WORLD, np.eye(4))
         k, T_e = self.arm.frames[e] if e else self.arm.hand
@@ -281,7 +281,7 @@ class Judge:
         return float(max((lower - x).max(), (x - upper).max(), (tilts - most).max()))
 
     def look(self, states):
-        """The deepest overlap at states (k, n), which are close to each other."""
+        """Return the deepest overlap at states (k, n), which are close to each other."""
         poses, worst, boxes = self.arm.poses(states), Verdict(0.0), {}
         for body in self.bodies:
             T = poses[body.group]

@@ -48,6 +48,6 @@ def toppra_duration(curve, velocity, acceleration, dynamics=None, effort=None):
 
 
 def weak_efforts(problem, states):
-    """Limits (n,) [Nm] a little above what the path takes standing still."""
+    """Return limits (n,) [Nm] a little above the efforts that hold the states of the path."""
     still = np.zeros_like(states)
     return 1.1 * np.abs(problem.dynamics.efforts(states, still, still)).max(axis=0) + 2.0

@@ -13,7 +13,7 @@ PANDA += ((0.088, 0, 1),)
 
 
 def kinematics():
-    """The Panda's chain, and points on its joints and hand."""
+    """The Panda's kinematic chain, and points on its joints and hand."""
     turns = {0: (1.0, 0.0), 1: (0.0, 1.0), -1: (0.0, -1.0)}
     cosines = [turns[quarter] for _, _, quarter in PANDA]
     return {

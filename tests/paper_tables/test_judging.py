@@ -1,4 +1,4 @@
-"""The rule of verdicts on made and committed rows, its measures; comparison of two runs."""
+"""The rule of verdicts on made and committed rows, measures, and the comparison of two runs."""
 
 import math
 from itertools import product
@@ -33,7 +33,7 @@ TEN = -math.log(0.9)  # the gain of ten percent less
 
 
 def claim(metric="time", baselines=("b",), **more):
-    """`a` has less of a metric than `b`."""
+    """Return the claim that `a` has a smaller metric than `b`."""
     return Claim(metric, ("a",), "made", "", "made", baselines, **more)
 
 
@@ -42,7 +42,7 @@ AS_MANY = claim("accuracy", margin=0.05, similar=True)
 
 
 def in_paper(metric="time", **values):
-    """What a paper says of planners."""
+    """Return published values of a metric by planner."""
     return [PublishedValue("I", "made", k, k, metric, str(x), "", "") for k, x in values.items()]
 
 
@@ -52,7 +52,7 @@ HALF = in_paper(a=5, b=10)
 def made_rows(ratio=1.0, problems=60, spread=0.3, seeds=2, failing=(), shares=None):
     """Rows of `a` and `b`: times with a known geometric mean of their ratio.
 
-    failing: planners and problems that fail; shares: of runs that each planner solves, in turn.
+    failing: planners and problems that fail; shares: fraction of runs that each planner solves.
     """
     rng, rows = np.random.default_rng(3), []
     for k in range(problems):
@@ -104,7 +104,7 @@ def test_similar_is_not_worse_by_more_than_the_margin():
 
 
 def test_a_known_effect_gets_its_word():
-    """The paper says half: 0.55 is nine tenths of it."""
+    """The paper's ratio is 0.5; a ratio of 0.55 is nine tenths of this effect."""
     for ratio, expected in {0.3: REPLICATED, 0.5: REPLICATED, 0.75: SMALLER, 1.5: OPPOSITE}.items():
         assert word(made_rows(ratio)) is expected, ratio
     assert word(made_rows(1.0, spread=0.1)) is SAME
@@ -139,7 +139,7 @@ def test_the_size_of_a_sample_has_the_power_that_it_promises():
 
 
 def test_a_failed_run_counts_as_the_cutoff_for_whoever_failed():
-    """Half of the time, but a third of the problems failed: ten seconds of each."""
+    """The planner takes half of the time, but a third of its problems failed and count as 10 s."""
     for planner, expected in (("a", OPPOSITE), ("b", REPLICATED)):
         rows = made_rows(0.5, failing={(planner, k) for k in range(20)})
         (found,) = verdicts_of(FASTER, rows, HALF, 10.0, 0.01)
@@ -210,7 +210,7 @@ def test_the_papers_cost_prices_checks_projections_and_newton_steps():
 
 
 def run(planner, problem, checks=None, seed=0, solved=True, **values):
-    """Its work is `checks`."""
+    """Return a row whose work is `checks`."""
     make = a_row if solved else a_failure
     values |= {} if checks is None else {"n_projections": 0, "n_state_checks": checks}
     return make(str(problem), planner, seed=seed, **values)
@@ -247,14 +247,14 @@ def test_hard_is_the_top_third_by_medians_of_other_seeds_ties_easy_and_failures_
     split = split_by_work([run("birrt", i, 10 * i) for i in range(9)])
     assert names(split["hard"]) == set("678") and names(split["easy"]) == set("012345")
     assert split["all"] == split["easy"] | split["hard"] and len(split["all"]) == 9
-    # the last says no work
+    # the last row has no work
     ties = split_by_work([run("birrt", i, 5) for i in range(6)] + [run("birrt", 6)])
     assert ties["hard"] == frozenset() and len(ties["easy"]) == 6
     assert split_by_work([])["all"] == frozenset()
     works = ((1, 1000, 2), (9, 10, 11), (3, 3, 3))
     rows = [run("birrt", k, works[k][seed], seed=seed) for k, seed in product(range(3), range(3))]
     hard = {(problem, seed) for _, problem, seed in split_by_work(rows)["hard"]}
-    # in seed 1 problem 0 took long: by the others it is easy
+    # problem 0 took long with seed 1 only, so the other seeds call it easy
     assert hard == {("0", 0), ("1", 1), ("0", 2)}
     failing = [run("birrt", 2, 3, seed=s, solved=s == 0) for s in range(3)]
     assert names(split_by_work([*rows[:6], *failing])["hard"]) == {"2"}

@@ -92,7 +92,7 @@ PAPER = read_published("place_task.csv", "Place Task")
 
 
 def run(planner, problem, time=None, **values):
-    """A row; a failure where `time` is None."""
+    """Return a row; a failure if `time` is None."""
     make, time = (a_failure, 10.0) if time is None else (a_row, time)
     return make(f"p{problem}", planner, **{"suite": "place-task", "t_total_s": time, **values})
 
@@ -117,7 +117,7 @@ def test_a_readme_without_marks_is_refused():
 
 
 def test_a_claim_is_judged_against_all_planners_named(tmp_path):
-    """A third of the time of all planners; of all but one; a baseline that never ran."""
+    """Time is a third of every baseline's; of all but one baseline's; one baseline has no rows."""
     for ompl, atlas, expected, decided in (
         (3.0, 3.0, Word.REPLICATED, "ompl-projected"),
         (3.0, 0.5, Word.OPPOSITE, "atlas-rrt"),
@@ -142,7 +142,7 @@ def test_a_second_look_judges_anew_the_comparisons_that_it_has(tmp_path):
     found = by_title(tmp_path)
     assert found["Opt: twice as fast"].word is Word.REPLICATED
     assert len(found["Opt: twice as fast"].verdicts) == 3
-    # a look of its own has only what is judged again
+    # a claim with new rows uses them only for comparisons that they contain
     assert found["Opt: at the paper's cost"].word is not Word.REPLICATED
 
 

@@ -1,4 +1,4 @@
-"""Planners that try to change what they are judged by, to stop others, or to answer nonsense.
+"""Planners that try to change the judge, to stop other planners, or return invalid results.
 
 `HOSTILE` lists them; each returns `beyond`, a path that must not be certified, if it returns.
 """
@@ -28,12 +28,12 @@ from cvqmpt_lab.search.planner_interface import GaussianMixture, Proposal, Unifo
 
 
 def through(problem, q):
-    """A path from the start by way of q."""
+    """Return a path from the start through q."""
     return np.array([problem.start, q, problem.goals[0]])
 
 
 def beyond(problem):
-    """0.4 rad beyond all limits and back, through whatever stands there."""
+    """Return a path 0.4 rad beyond all limits and back, through any obstacles."""
     return through(problem, problem.robot.upper + 0.4)
 
 
@@ -80,7 +80,7 @@ class Unusual(BaseException):
 
 
 class Own:
-    """A distribution that would draw in the process that judges."""
+    """A distribution that would be sampled in the process of the judge."""
 
     name = "own"
 

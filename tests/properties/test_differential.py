@@ -146,7 +146,7 @@ def test_timing(trials):
         limits = replace(problem.robot.joint_limits, jerk=None)
         for k in range(count):
             states = simplified(problem, seed + k)
-            # on every other path motors are so weak that they hold the motion up
+            # on every second path effort limits are so low that they slow the motion down
             dynamics = problem.dynamics if (seed + k) % 2 else None
             effort = weak_efforts(problem, states)
             full, weak = TimingSettings(speed=1.0), replace(limits, effort=effort)

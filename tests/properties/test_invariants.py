@@ -130,7 +130,7 @@ def test_decoder(z):
 def test_mixture(seed, k, n, share):
     """Draws follow the mixture: weight, mean and spread of each Gaussian, and the uniform part."""
     rng = np.random.default_rng(seed)
-    # draws tell whose they are
+    # each sample can be assigned to its Gaussian
     means = 100.0 * np.arange(k)[:, None] + rng.uniform(-1.0, 1.0, (k, n))
     roots = np.tril(rng.normal(size=(k, n, n)), -1) + rng.uniform(0.3, 2.0, (k, 1, n)) * np.eye(n)
     covariances, weights = roots @ roots.swapaxes(1, 2), rng.dirichlet(np.ones(k))

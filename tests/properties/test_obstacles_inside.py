@@ -1,4 +1,4 @@
-"""Obstacles in the robot's way, of any size and frame: every checker finds them."""
+"""Obstacles of any size and frame inside the robot: every checker finds the collision."""
 
 from dataclasses import replace
 
@@ -16,7 +16,7 @@ from cvqmpt_lab.search.space import ConstrainedSpace
 
 CAN = Attachment("can", Cylinder(0.02, 0.1), pose((0.0, 0.0, 0.17)))
 CORNERS = np.array(np.meshgrid(*[[-0.5, 0.5]] * 3)).reshape(3, 8).T
-# share by which a point lies further inside a link than a mean of some of its corners does
+# fraction of the way by which a point of a hull is moved towards the mean of its corners
 DEEP = 0.03
 
 

@@ -1,6 +1,6 @@
 """External planners that attack: none is certified falsely, and no other planner's result changes.
 
-What they try stands in `hostile_planners`. All are called from one process, this one.
+`hostile_planners` has their attacks. All are called from this process.
 """
 
 import time
@@ -18,7 +18,7 @@ SECONDS = 1.0  # given to each
 
 
 def ours():
-    """What a planner of ours finds, all that does not depend on the clock."""
+    """Return the results of a built-in planner that do not depend on the clock."""
     found = solve(single_goal_problem(5), "birrt", Budget(iterations=300), 0)
     assert found.solved
     counts = found.plan.counters, found.plan.vertices, found.certificate

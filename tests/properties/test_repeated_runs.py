@@ -42,12 +42,12 @@ EVERY = (*PLANNERS, *CONTROLS)
 CASES = (
     repeated("four planners", "place-task", SOME, 300, ci=1, long=12),
     repeated("all planners and controls", "place-task", EVERY, 3000, ci=0, long=8),
-    # few iterations: in 3000 `ompl-projected` meets the cutoff in a phase without a path
+    # few iterations: with 3000, `ompl-projected` reaches the time limit in a phase without a path
     repeated("tasks of several phases", "multi-sequence", tuple(PLANNERS), 200, ci=0, long=1),
 )
 
 
-# here, and in a process of two workers, more threads and another hash seed
+# in this process, and in one with two workers, more threads and another hash seed
 @pytest.mark.parametrize(("suite", "planners", "iterations"), CASES)
 def test_rows_repeat(suite, planners, iterations, tmp_path, trials):
     how = (suite, trials, planners, iterations)

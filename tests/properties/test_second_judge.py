@@ -46,7 +46,7 @@ DRAWN = 200  # configurations, of which one with two links near each other is ch
 SPREADS = (0.3, 0.1, 0.03, 0.01, 0.0)  # [rad or m] by which those that follow differ from it
 CHAIN_STEPS = (0.01, 0.03, 0.1)  # [rad or m] between states of a closed chain, about
 SLIPS = (0.0, 1e-4, 3e-4)  # [rad or m] by which joints leave it, so that bounds are nearly broken
-# of the second hand in the frame of the first one
+# pose of the second hand in the frame of the first hand
 FREEDOMS = ({}, {"position": 0.01, "rotation": 0.05}, {"about": "z"})
 KINDS = len(CARRYING_LAYOUTS) * len(FREEDOMS)
 
@@ -64,7 +64,7 @@ class Given(NamedTuple):
     chain: tuple[TaskSpaceRegion, ...] = ()  # how they hold it, and that it is level
 
     def kept(self, states):
-        """States (k, n) on the closed chain; those that cannot be moved there are left out."""
+        """Project states (k, n) onto the closed chain; leave out states for which this fails."""
         if not self.chain:
             return states
         manifold = RegionConstraint(self.robot, self.chain)
@@ -78,7 +78,7 @@ class Given(NamedTuple):
 
 @cache
 def read_arm(name, folder):
-    """An arm by its name, or a random one by its number: its source, itself, as the judge reads it.
+    """Return an arm by name, or a random arm by number: source, robot and the judge's model.
 
     The judge takes the order of joints in states from the robot.
     """
@@ -97,7 +97,7 @@ def read_arm(name, folder):
 
 @cache
 def given_arm(name, folder, kind=0):
-    """An arm; kind: of what two hands hold."""
+    """Return an arm; kind: way in which two hands hold an object."""
     source, robot, arm = read_arm(name, folder)
     out = [(pair.first, pair.second, pair.reason) for pair in robot.left_out_pairs]
     always = tuple((first, second) for first, second, why in out if why.startswith(OVERLAP))
@@ -109,7 +109,7 @@ def given_arm(name, folder, kind=0):
 
 
 def both_hold(robot, kind):
-    """What both hands hold and how: as one, with play, or turning about an axis of a hand."""
+    """Return an object in both hands: held rigidly, with play, or turning about a hand's axis."""
     number, freedom = divmod(kind, len(FREEDOMS))
     item, _, (closed, level) = hold(robot, [*CARRYING_LAYOUTS][number])
     free = relative_pose(closed.base, closed.T0_w, **FREEDOMS[freedom])
@@ -148,7 +148,7 @@ def shape(rng, folder, carried=False):
 
 
 def concave(rng, folder):
-    """The file of a ring or of a bracket."""
+    """Return the mesh file of a ring or of a bracket."""
     mesh = trimesh.creation.torus(*rng.uniform((0.05, 0.01), (0.2, 0.04)), 10, 5)
     a, b, c = rng.uniform(0.05, 0.3, 3)
     if rng.random() < 0.7:
@@ -279,7 +279,7 @@ def certified(problem, states):
 
 
 def planned(given, problem, states, rng):
-    """Part of a certified path from the states to another free state; else the states."""
+    """Return a part of a certified path from the states to a free state, else the states."""
     checker = problem.collision_checker()
     goals = [q for q in given.drawn(rng, 40) if not checker.in_collision(q)]
     starts = [q for q in given.kept(states[:1]) if not checker.in_collision(q)]
@@ -315,7 +315,7 @@ def judged(name, number, folder):
         return None
     for _ in range(OBSTACLES):
         made = obstacle(given, held, drawn, rng, folder)
-        # each is read but once
+        # each is read only once
         more = problem_of(path, given, [made], attachments, states).scene.objects
         fuller = replace(problem, scene=problem.scene.with_objects(*more))
         if certified(fuller, states):
@@ -373,7 +373,7 @@ def test_judge_sees_what_a_corner_of_a_link_is_in(size, tmp_path):
 
 
 def test_judge_sees_a_hand_that_lets_go(tmp_path):
-    """A wrist that turns leaves the chain by its turn; a hand that does not hold overlaps."""
+    """A wrist that turns violates the chain by its angle; a hand that lets go overlaps."""
     given, rng = given_arm("baxter", tmp_path), np.random.default_rng(0)
     q, path = free(given, rng), tmp_path / "problem.json"
     for held, turn in (

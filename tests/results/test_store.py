@@ -77,7 +77,7 @@ def test_a_store_has_rows_provenance_and_paths_equal_in_every_bit(tmp_path, stor
 def test_the_rows_of_one_run_are_kept_together_or_not_at_all(tmp_path):
     phases = [a_row(f"3/{k}-{name}") for k, name in enumerate(("reach", "carry"), 1)]
     data = killed_after(tmp_path, [phases])[PARTIAL_FILE]
-    # cut behind the header and the first phase
+    # truncate after the header and the first phase
     header, first, _ = data.split(b"\n", 2)
     (tmp_path / PARTIAL_FILE).write_bytes(header + b"\n" + first + b"\n")
     with opened(tmp_path) as again:

@@ -63,7 +63,7 @@ def test_the_unit_of_a_collada_mesh_counts_before_the_scale_in_the_urdf(edited, 
 
 
 def test_joints_off_the_chain_are_held_and_followers_follow(edited):
-    """Fingers are not planned: the first is held inside its limits, the second mimics it."""
+    """Fingers are not planned: the first is held within its limits, the second mimics it."""
     robot = load_robot(edited((END, FINGERS)), "tool")
     assert robot.joint_names == ("rail", "lift", "bend", "twist")
     held = {joint.name: (joint.value, joint.reason) for joint in robot.held_joints}
@@ -153,7 +153,7 @@ def test_hulls_are_the_same_from_the_cache_which_is_written_anew_if_broken(
 
 
 def test_a_robot_whose_files_changed_is_built_anew_and_its_pickles_are_refused(edited, tmp_path):
-    """A new content of URDF, mesh or SRDF counts; a new time of the same content does not."""
+    """Changed content of URDF, mesh or SRDF rebuilds the robot; a changed file time does not."""
     urdf = edited((BOX, '<geometry><mesh filename="part.obj"/></geometry>'))
     mesh, srdf = tmp_path / "part.obj", tmp_path / "arm.srdf"
     trimesh.creation.box((0.1, 0.1, 0.1)).export(mesh)
@@ -197,7 +197,7 @@ def fan(last):
 
 
 def cone():
-    """300 sides: the hull library stores at most 255 neighbours of its tip."""
+    """Return a cone of 300 sides; the hull library stores at most 255 neighbours of its tip."""
     turn = np.linspace(0.0, 2.0 * np.pi, 301)
     rim = np.column_stack([np.cos(turn), np.sin(turn), 0.0 * turn])
     return [(rim[k], rim[k + 1], (0.0, 0.0, 1.0)) for k in range(300)]

@@ -45,7 +45,7 @@ def test_finger_opening_moves_the_fingers():
 
 
 def test_the_kinematics_digest_depends_on_joints_and_not_on_the_hand(panda, slider_arm, edited):
-    """Limit, axis and placement of a joint change it; it is the same in all processes."""
+    """Limits, axis and placement of a joint change the digest; it is the same in all processes."""
     digest = slider_arm.kinematics_digest
     assert digest == "ccce46299e68f03c312831aa827b204d"
     assert panda.kinematics_digest == load_panda(0.01).kinematics_digest != digest
@@ -114,7 +114,7 @@ def test_no_point_moves_further_than_the_bound(request, name):
 
 @pytest.mark.slow
 def test_mirrored_arms_leave_out_the_same_overlaps():
-    """The hulls overlap by 1.3 mm; with margin 0 coal found 99.95 % of it left and 0.1 % right."""
+    """Hulls overlap by 1.3 mm; with margin 0 coal found 99.95 % of it left, but 0.1 % right."""
     arms = (robot_from_source({"name": f"tiago-dual-{side}"}) for side in ("left", "right"))
     overlaps = ([pair for pair in arm.left_out_pairs if OVERLAP in pair.reason] for arm in arms)
     left, right = ({(pair.first, pair.second) for pair in pairs} for pairs in overlaps)

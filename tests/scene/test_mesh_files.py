@@ -60,7 +60,7 @@ def test_large_meshes_are_covered_by_few_pieces(share):
 
 
 def test_a_bracket_is_cut_although_a_cut_can_leave_nothing_on_one_side():
-    """A prism: an outline in x and y, from z = 0 to 0.29108."""
+    """The bracket is a prism with an outline in x and y, from z = 0 to 0.29108 m."""
     outline = [(0.16093, 0.02), (0.16093, 0), (0, 0), (0.02, 0.02), (0.02, 0.17268), (0, 0.17268)]
     corners = np.array([(*at, z) for z in (0.0, 0.29108) for at in outline])
     bottom = np.array([(0, 1, 2), (3, 0, 2), (4, 3, 2), (5, 4, 2)])

@@ -61,7 +61,7 @@ def test_adding_and_removing():
 
 
 def test_an_environment_is_the_published_one():
-    """Last cube and ball of number 0: their poses depend on all random numbers before."""
+    """The last cube and ball of environment 0 depend on all random numbers drawn before."""
     scene = random_scene(0)
     assert len(scene.objects) == len(scene.obstacles) == 16
     cube, ball = scene["cube_7"], scene["sphere_7"]

@@ -31,7 +31,7 @@ def test_a_maze_is_solved_and_repeats_bit_for_bit(maze):
 
 
 def grown(problem, slices, seed=2):
-    """The path and work of trees that grow in slices of so much work."""
+    """Return path and work of trees that grow in slices of a given work."""
     space = ConstrainedSpace.of(problem)
     rng = problem.random_stream(seed)
     growth = CellTrees(Query.of(space, problem.start, problem.goals, MOST, rng))
@@ -76,7 +76,7 @@ def test_without_a_constraint_cells_divide_the_joints(maze):
 
 
 def between(scene, one, other):
-    """Distance [m] of two objects of a scene."""
+    """Return the distance [m] between two objects of a scene."""
     found = (item for item in scene.objects if item.name in (one, other))
     placed = [(coal_shape(item.shape), transform(item.T_world_object)) for item in found]
     return coal_distance(*placed[0], *placed[1])

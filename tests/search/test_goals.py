@@ -1,4 +1,4 @@
-"""Goals from compiled code: as diverse as by plain inverse kinematics, free, counted."""
+"""Goals by compiled code: free, counted, and as diverse as by inverse kinematics in Python."""
 
 from dataclasses import replace
 
@@ -24,7 +24,7 @@ from cvqmpt_lab.search.result import Budget
 
 
 def apart(goals):
-    """Typical distance of goals from each other [rad]."""
+    """Return the typical distance between goals [rad]."""
     return np.median(np.linalg.norm(goals[:, None] - goals[None], axis=2))
 
 
@@ -42,7 +42,7 @@ def test_goals_are_as_many_and_as_diverse_as_those_of_unhurried_inverse_kinemati
 
 
 def assert_inside(problem, goals):
-    """Goals lie in the goal region."""
+    """Assert that goals lie in the goal region."""
     region = replace(problem, constraint=(problem.goal_region,)).manifold
     assert np.linalg.norm(region.residual(goals), axis=1).max() < 1e-5
 
@@ -58,7 +58,7 @@ def test_a_single_pose_is_reached_in_many_postures_and_near_a_configuration_in_i
 
 
 def test_what_cannot_be_had_is_counted(problem):
-    """A region out of reach, and one inside the arm's base."""
+    """A goal region out of reach, and one inside the arm's base."""
     for place, least in (((5.0, 0.0, 0.0), 30), ((0.0, 0.0, 0.3), 0)):
         region = TaskSpaceRegion(pose(place), np.eye(4), bounds([0.01] * 3 + [0.1] * 3))
         asked = replace(problem, goals=np.empty((0, 7)), goal_region=region)
@@ -82,7 +82,7 @@ YAW_FREE, POSITION_ONLY = [0.05, 0.05, np.pi], [np.inf] * 3
 
 @pytest.fixture(scope="module")
 def five_joints():
-    """An arm of five joints between two configurations on a manifold, the second one's pose."""
+    """Return a problem of an arm with five joints: upright within 0.3 rad, one goal."""
     arm = robot_from_source({"name": "so-arm101"})
     start, end = np.array([[0.0, -0.8, 0.6, 0.2, 0.0], [0.8, -0.2, 0.4, 0.0, 0.5]])
     kept = (TaskSpaceRegion(np.eye(4), arm.pose(start), bounds([np.inf] * 3 + [0.3, 0.3, np.inf])),)
@@ -97,7 +97,7 @@ def bounds(most):
 @pytest.mark.parametrize("turns", [YAW_FREE, POSITION_ONLY])
 @pytest.mark.parametrize("constrained", [False, True])
 def test_an_arm_of_five_joints_gets_goals_in_a_region_with_freedom(five_joints, turns, constrained):
-    """Whole poses are drawn from the region, hardly any within its reach: there was no goal."""
+    """Poses drawn from the region are hardly ever reachable by five joints: no goal was found."""
     T, there = five_joints.robot.pose(five_joints.goals[0]), np.eye(4)
     there[:3, 3], T[:3, 3] = T[:3, 3], 0.0
     region = TaskSpaceRegion(there, T, bounds([0.005] * 3 + turns))
@@ -112,7 +112,7 @@ def test_an_arm_of_five_joints_gets_goals_in_a_region_with_freedom(five_joints, 
 
 
 def test_goals_of_a_region_of_all_turns_are_turned_as_the_constraint_asks(problem):
-    """None of the poses that were drawn kept it: "'goal_region' leaves the constraint"."""
+    """No drawn pose satisfied the constraint: "'goal_region' leaves the constraint"."""
     place = pose(problem.robot.pose(problem.goals[0])[:3, 3])
     region = TaskSpaceRegion(place, np.eye(4), bounds([0.0] * 3 + [np.inf] * 3))
     asked = replace(problem, goals=np.empty((0, 7)), goal_region=region)
@@ -130,7 +130,7 @@ EMPTY = Scene("empty", ())
 
 
 def raised(name, number):
-    """A free start of an arm, and the pose of its hand there, 1 cm higher."""
+    """Return a free start of an arm, and the pose 1 cm above its hand."""
     robot, rng = robot_from_source({"name": name}), np.random.default_rng([number, 7])
     while True:
         low, high = np.maximum(robot.lower, -3.0), np.minimum(robot.upper, 3.0)
@@ -146,7 +146,7 @@ def raised(name, number):
 
 @pytest.mark.parametrize("name", ["ur5", "panda", "xarm7", "kinova", "ur10", "z1"])
 def test_a_hand_that_rises_by_a_centimetre_moves_the_arm_hardly(name):
-    """A UR5 once turned by 4.4 rad, an xArm7 by 2.9 rad: all goals were of random seeds."""
+    """With goals from random seeds only, a UR5 turned by 4.4 rad, an xArm7 by 2.9 rad."""
     ratios, nearest = [], []
     for number in range(5):
         problem, distance = raised(name, number)
@@ -158,7 +158,7 @@ def test_a_hand_that_rises_by_a_centimetre_moves_the_arm_hardly(name):
 
 
 def test_the_nearest_goal_is_where_local_inverse_kinematics_ends(panda):
-    """Newton's method in plain numpy, from the start."""
+    """The reference is Newton's method in numpy, from the start."""
     start = np.array([0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785])
     T = panda.pose(start) @ pose((0.0, 0.02, 0.0))
     q = start.copy()
@@ -193,7 +193,7 @@ def test_a_start_in_the_goal_region_is_the_goal_and_the_path_is_empty(panda, wid
 
 
 def test_goals_near_the_start_leave_room_for_other_postures(problem):
-    """Of twenty goals at most four are near; all are free, in the region, on the manifold."""
+    """At most four of twenty goals are near; all are free, in the region and on the manifold."""
     asked = replace(problem, goals=np.empty((0, 7)), scene=EMPTY)
     goals = goals_of(asked)
     near = near_goals(asked)

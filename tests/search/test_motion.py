@@ -56,7 +56,7 @@ def test_no_point_moves_further_than_its_swing(request, name, attachments):
     rng = np.random.default_rng(0)
     before = robot.random_configurations(rng, 1000)
     change = 10.0 ** rng.uniform(-4.0, 0.3, (1000, 1)) * rng.standard_normal(before.shape)
-    # one joint at a time comes closest
+    # motions of single joints come closest to the bound
     change[:300] *= np.eye(robot.dof)[rng.integers(robot.dof, size=300)]
     after = np.clip(before + change, robot.lower, robot.upper)
     moved = placed_points(robot, attachments, after) - placed_points(robot, attachments, before)
@@ -93,27 +93,27 @@ def motions(kitchen_problem, kitchen_space):
 
 @pytest.fixture(scope="module")
 def answers(kitchen_space, motions):
-    """motion_free of each motion, (k,)."""
+    """Return `motion_free` of each motion (k,)."""
     arrays = kitchen_space.arrays
     return np.array([motion_free(arrays, a, b) for a, b in zip(*motions, strict=True)])
 
 
 def all_free(space, states):
-    """Whether the compiled checker calls all states of each row (k, s, n) free, (k,)."""
+    """Return whether the compiled checker calls all states of each row (k, s, n) free (k,)."""
     out = np.empty(states.shape[0] * states.shape[1], dtype=bool)
     states_valid(space.arrays, np.ascontiguousarray(states.reshape(-1, states.shape[2])), out)
     return out.reshape(states.shape[:2]).all(axis=1)
 
 
 def along(motions, spacing):
-    """States (k, s, n) of straight motions, all with as many as the longest one needs."""
+    """Return states (k, s, n) of straight motions; s is the number that the longest one needs."""
     a, b = motions
     longest = np.linalg.norm(b - a, axis=1).max()
     return np.linspace(a, b, 1 + int(np.ceil(longest / spacing)), axis=1)
 
 
 def test_motions_called_free_are_free_for_coal(kitchen_problem, kitchen_space, motions, answers):
-    """All states, not only those that were checked."""
+    """coal checks many states, not only those that the kernels checked."""
     checker = kitchen_problem.collision_checker()
     a, b = (ends[answers] for ends in motions)
     close = np.flatnonzero(~all_free(kitchen_space, along((a, b), FINE)))  # by less than the margin
@@ -132,7 +132,7 @@ def test_motions_are_refused_where_sampling_finds_a_collision(kitchen_space, mot
 
 
 def test_what_only_the_middle_of_a_motion_meets_is_noticed(panda):
-    """A finger sweeps past a small ball at its tip; with the ball below the tip, it is free."""
+    """A finger sweeps over a small ball and touches it; with a lower ball the motion is free."""
     a, b = HOME - 0.1 * np.eye(7)[0], HOME + 0.1 * np.eye(7)[0]
 
     def answer(depth):
@@ -149,7 +149,7 @@ index_new_nodes, nearest_node = map(from_python, (index_new_nodes, nearest_node)
 
 
 def walks(rng, count, n=7):
-    """Nodes like those of trees: short walks from earlier nodes."""
+    """Return nodes like those of trees: short steps from earlier nodes."""
     nodes = np.zeros((count, n))
     for k in range(1, count):
         origin = nodes[k - 1] if k % 7 else nodes[rng.integers(k)]
@@ -168,10 +168,10 @@ BLOCKS = (
 
 
 def queries(rng, nodes, count):
-    """Near the nodes, between them, and far away."""
+    """Return query points near the nodes, between them, and far away."""
     picks = nodes[rng.integers(len(nodes), size=(count, 2))]
     spread = 10.0 ** rng.uniform(-4.0, 0.7, (count, 1))
-    # never half way, where two nodes are equally far but for rounding
+    # not half-way, where rounding decides which of two nodes is nearer
     share = rng.uniform(size=(count, 1))
     between = picks[:, 0] + share * (picks[:, 1] - picks[:, 0])
     return np.concatenate([picks[:, 0] + spread * rng.standard_normal(between.shape), between])
@@ -189,7 +189,7 @@ def queries(rng, nodes, count):
     ],
 )
 def test_the_nearest_node_is_that_of_a_plain_search(count):
-    """Also after the index has grown."""
+    """The nearest node is correct also after the index has grown."""
     rng = np.random.default_rng(count)
     nodes, index = walks(rng, count), nearest_index(2 * NODES_PER_BLOCK, 7)
     for size in (*range(0, count, 128), count):
@@ -220,7 +220,7 @@ def test_of_equal_nodes_the_first_is_found_and_those_moved_away_later_never():
 
 @pytest.mark.parametrize("tolerance", [0.0, 1e-4, 0.01])
 def test_refined_motions_keep_narrow_bounds_as_the_certificate_asks(panda, tolerance):
-    # of a point 0.6 m in front of the hand, so that short motions leave the plane
+    # constrain a point 0.6 m in front of the hand, so that short motions leave the plane
     bounds = [FREE, FREE, tolerance, FREE, FREE, FREE]
     flat = symmetric_region(pose((0.0, 0.0, 0.5)), pose((0.0, 0.0, -0.6)), bounds)
     problem = PlanningProblem("flat", panda, Scene("empty", ()), HOME, HOME[None], (flat,))

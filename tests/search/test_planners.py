@@ -1,4 +1,4 @@
-"""Planners: certified paths, repeatability, budgets, exceptions; spaces where checks disagree."""
+"""Planners: certified paths, repeatability, budgets, exceptions; checks that disagree."""
 
 import gc
 import time
@@ -29,7 +29,7 @@ from cvqmpt_lab.search.planner_interface import GaussianMixture, Proposal, Query
 from cvqmpt_lab.search.result import Budget, PlanStatus
 from cvqmpt_lab.search.space import ConstrainedSpace
 
-# these may fail: out of time, or of rollouts
+# these may fail: their time or number of rollouts is limited
 LENIENT = dict.fromkeys(("atlas-rrt", "tb-rrt", "ompl-bkpiece"), PlanStatus.TIMEOUT)
 LENIENT |= {"mpnet": PlanStatus.ITERATION_LIMIT}
 OURS = ("birrt", "guided-birrt")
@@ -37,12 +37,12 @@ ENOUGH = Budget(iterations=20_000)
 
 
 def plan(problem, method, budget, seed=0, backend="compiled"):
-    """What the search of a method, given by name or object, finds."""
+    """Return the result of the search of a method, which is given by name or object."""
     return solve(problem, method, budget, seed, backend=backend, clearance=False).plan
 
 
 def sampling(distribution):
-    """birrt on a distribution."""
+    """Return `birrt` with a given sampling distribution."""
     return Method.simple("birrt", predict=lambda query, observation: Proposal(distribution))
 
 
@@ -56,7 +56,7 @@ def test_every_planner_solves_a_place_problem(problem, name):
         assert result.status is LENIENT[name]
         assert solution.simplified is None and solution.certificate is None and not solution.solved
         return
-    # projections to iterations; the others are zero where no tree grows and no clearance is read
+    # projections to iterations; other counts are zero without a tree and without clearances
     assert result.status is PlanStatus.SOLVED and min(astuple(result.counters)[:4]) > 0
     assert solution.certificate.reasons == () and solution.solved
     # not simplified
@@ -97,7 +97,7 @@ def test_unknown_settings_of_the_tree_search_are_refused():
 
 
 def searched(problem, space, budget, distribution=None, goals=None, **settings):
-    """What the tree search finds, by default with uniform draws."""
+    """Return the result of the tree search, by default with uniform samples."""
     rng = np.random.default_rng(0)
     distribution = distribution or Uniform(problem.robot.lower, problem.robot.upper)
     goals = problem.goals if goals is None else goals
@@ -106,7 +106,7 @@ def searched(problem, space, budget, distribution=None, goals=None, **settings):
 
 
 def test_trees_are_enlarged_when_full(problem):
-    """Steps of 2 mrad need more than the 4096 nodes that a tree has room for at first."""
+    """Steps of 2 mrad need more nodes than the initial capacity of 4096."""
     result = searched(problem, ConstrainedSpace.of(problem, step=0.002), ENOUGH, step=0.002)
     sizes = [len(tree.nodes) for tree in result.trees]
     assert max(sizes) > 4096 and sum(sizes) == result.vertices
@@ -115,7 +115,7 @@ def test_trees_are_enlarged_when_full(problem):
 
 @pytest.mark.parametrize("backend", ["compiled", "exact"])
 def test_a_budget_in_seconds_is_kept_to_a_tenth_of_a_second(problem, backend):
-    """A hopeless search: the goal's tree cannot leave the ball of obstacles around it."""
+    """A search without a solution: obstacles enclose the goal."""
     uniform = Uniform(problem.robot.lower, problem.robot.lower + 0.3)
     how = {"goals": problem.goals[:1] + 1e-3, "reach": 0.2}
     space = ConstrainedSpace.of(problem, backend)
@@ -138,7 +138,7 @@ def test_any_distribution_is_sampled_and_named_and_its_samples_clipped(problem, 
 
 
 def test_extensions_are_counted_by_their_ends(problem):
-    """Where one step makes an extension, each adds one node; where it takes many, far fewer."""
+    """Extensions of one step add one node each; of longer ones there are far fewer than nodes."""
     roots = 1 + len(problem.goals)
     result = searched(problem, ConstrainedSpace.of(problem), Budget(iterations=40), step=100.0)
     assert result.counters.extensions == result.vertices - roots > 0
@@ -150,7 +150,7 @@ def test_extensions_are_counted_by_their_ends(problem):
 
 @pytest.mark.parametrize("draws", ["raw", "projected", "free"])
 def test_trees_extend_towards_what_is_made_of_draws(problem, draws):
-    """Raw draws stay; projected ones keep F(q) = 0; free ones are free of collision, too."""
+    """Raw samples are unchanged; projected ones have F(q) = 0; "free" ones are also free."""
     space = ConstrainedSpace.of(problem)
     trees = plant(problem.start, problem.goals, 4096)
     drawn = Uniform(problem.robot.lower, problem.robot.upper).sample(np.random.default_rng(0), 60)
@@ -177,7 +177,7 @@ def test_trees_extend_towards_what_is_made_of_draws(problem, draws):
 
 
 def test_draws_that_never_reach_the_constraint_end_with_that_reason(problem):
-    """A pose a kilometre away: nothing is projected onto it."""
+    """A constraint a kilometre away: no sample can be projected onto it."""
     region = TaskSpaceRegion(pose((1000.0, 0.0, 0.0)), np.eye(4), np.zeros((6, 2)))
     space = ConstrainedSpace.of(problem.changed(constraint=(region,)))
     result = searched(problem, space, Budget(iterations=50))
@@ -266,14 +266,14 @@ MARGIN = 1e-4  # [m] that planning keeps from obstacles
 
 
 def with_block(problem, q, distance):
-    """A block beside the hand at q, its centre this far off [m]."""
+    """Return a block beside the hand at q, with its centre at this distance [m]."""
     T_world_block = problem.robot.pose(q) @ pose((0.0, distance, 0.03))
     block = SceneObject("block", Box((0.04,) * 3), T_world_block)
     return replace(problem, scene=problem.scene.with_objects(block))
 
 
 def touching_distance(problem, q):
-    """Smallest distance at which the block is free of the hand for coal, by bisection."""
+    """Return the smallest distance at which block and hand do not collide by coal; by bisection."""
     inside, outside = 0.05, 0.3
     for _ in range(40):
         middle = 0.5 * (inside + outside)
@@ -284,7 +284,7 @@ def touching_distance(problem, q):
 
 @pytest.fixture(scope="module")
 def tight(problem):
-    """The place problem with a block half a planning margin beside the hand at the start."""
+    """Return the place problem with a block half a planning margin from the hand at the start."""
     touching = touching_distance(problem, problem.start)
     return with_block(problem, problem.start, touching + 0.5 * MARGIN)
 
@@ -300,7 +300,7 @@ def test_a_start_closer_than_the_margin_is_doubtful_and_allowed(problem, tight):
 
 
 def test_exact_checks_answer_near_it_only(tight):
-    """A goal in the same place needs its own name; coal checks the start's neighbours."""
+    """A goal with the same problem is listed separately; coal checks states near the start."""
     space, exact = ConstrainedSpace.of(tight), tight.collision_checker()
     cautious = tight.collision_checker(MARGIN)
     rng = np.random.default_rng(0)

@@ -1,4 +1,4 @@
-"""Roadmaps of random nodes, planner `roadmap`; shorter paths: shortcuts, the informed set."""
+"""Roadmaps of random nodes, the planner `roadmap`, shortcuts and informed sampling."""
 
 from dataclasses import replace
 from functools import partial
@@ -42,7 +42,7 @@ ENOUGH = Budget(iterations=20_000)
 
 @pytest.fixture(scope="module")
 def tuning():
-    """A problem that needs some work: none of its goals is near the start."""
+    """Return a problem without goals near the start."""
     problem = place_problem(1003)
     return problem.changed(goals=goals_in_any_posture(problem).configurations)
 
@@ -54,13 +54,13 @@ def roadmap(tuning):
 
 
 def plan(tuning, roadmap, seed=0, **options):
-    """What the turns find with a roadmap."""
+    """Return the result of the planner `roadmap` with a given roadmap."""
     method = Method.simple("roadmap", search=Portfolio(roadmap=roadmap, name="roadmap", **options))
     return solve(tuning, method, ENOUGH, seed, clearance=False).plan
 
 
 def query_of(problem, roadmap, longest=np.inf, **settings):
-    """A query and a generous deadline in a fresh space."""
+    """Return a query in a new space, and a late deadline."""
     space = ConstrainedSpace.of(problem)
     asked = RoadmapSearchSettings(**settings), scene_costs(space), longest
     query = RoadmapQuery(space, roadmap, problem.start, problem.goals, *asked)
@@ -98,7 +98,7 @@ def test_without_a_roadmap_path_birrt_helps_and_the_row_says_so(tuning, roadmap)
 
 
 def nll_of(space, costs, a, b, lowest=CLEARANCE_MAX_M):
-    """-log P(free) by all readings from a to b."""
+    """Return -log P(free) by all clearances along the segment from a to b."""
     lowest = reading(space.arrays, costs, b, a, 0, lowest)
     for k in range(readings.py_func(costs, np.linalg.norm(b - a))):
         lowest = reading(space.arrays, costs, a, b, k, lowest)
@@ -188,7 +188,7 @@ def informed(start, goals, lengths, count):
 
 @pytest.mark.parametrize("lengths", [(1.5,), (1.1, 3.3)])
 def test_informed_samples_keep_detours_to_one_of_the_goals_short(lengths):
-    """Where start and goal are one, they lie in a ball."""
+    """If start and goal are equal, samples lie in a ball."""
     start, goals = np.zeros(7), np.array([np.eye(7)[0], 3.0 * np.eye(7)[1]])[: len(lengths)]
     samples = informed(start, goals, lengths, 2000)
     to_goals = np.linalg.norm(samples[:, None] - goals, axis=2)
@@ -206,7 +206,7 @@ def test_informed_samples_keep_detours_to_one_of_the_goals_short(lengths):
 
 @pytest.fixture(scope="module")
 def first(problem):
-    """A path of `birrt`, shortened."""
+    """Return a shortened path of `birrt`."""
     return solve(problem, "birrt", ENOUGH, 0, clearance=False).path
 
 

@@ -1,4 +1,4 @@
-"""Roadmaps of any robot: nodes, edges, cache, and robots and scenes that hardly allow one."""
+"""Roadmaps of any robot: nodes, edges, cache, and difficult robots and scenes."""
 
 from dataclasses import replace
 
@@ -23,12 +23,12 @@ EMPTY = Scene("empty", ())
 
 
 def fresh(robot, attachments=(), **options):
-    """A roadmap that is in no cache."""
+    """Return a roadmap that is not taken from a cache."""
     return spread_roadmap.__wrapped__(robot, attachments, **options)
 
 
 def chain(kinds, reach):
-    """A URDF of joints in series, each with its own box; reach: of a joint [m or rad]."""
+    """Return a URDF of joints in series, each with a box; reach: range of a joint [m or rad]."""
     text = '<robot name="chain"><link name="l0"/>'
     for j, kind in enumerate(kinds, start=1):
         axis = " ".join("1" if a == j % 3 else "0" for a in range(3))
@@ -48,7 +48,7 @@ def cache(tmp_path, monkeypatch):
 
 @pytest.fixture(scope="module")
 def ur5():
-    """An arm whose joints turn twice, and its roadmap."""
+    """Return an arm whose joints have a range of two turns, and its roadmap."""
     robot = robot_from_source({"name": "ur5"})
     return robot, fresh(robot)
 
@@ -75,7 +75,7 @@ def test_joints_that_turn_twice_get_nodes_near_the_turn_of_the_start(ur5, panda)
     (robot, roadmap), start = ur5, np.full(6, 4.0)
     near = roadmap.near(start, robot).nodes
     assert (near >= robot.lower).all() and (near <= robot.upper).all()
-    # a quarter turn on average; more where limits cut a turn off
+    # the mean is a quarter turn, and more if limits cut off a part of a turn
     assert np.abs(near - start).mean() < 2.0
     roadmap = fresh(panda)
     assert roadmap.near(np.zeros(7), panda) is roadmap
@@ -83,7 +83,7 @@ def test_joints_that_turn_twice_get_nodes_near_the_turn_of_the_start(ur5, panda)
 
 @pytest.mark.parametrize("spoilt", ["other robot", "colliding"])
 def test_a_foreign_or_wrong_file_of_the_cache_is_made_anew(cache, slider_arm, spoilt):
-    """One that is cut short: robot/test_loading."""
+    """tests/robot/test_loading has truncated files."""
     fresh(robot_from_source({"name": "ur3"}))
     (foreign,) = cache.iterdir()
     made = fresh(slider_arm)
@@ -133,7 +133,7 @@ def test_a_load_larger_than_the_robot_leaves_no_nodes_and_birrt_plans(slider_arm
 
 
 def test_where_every_edge_is_blocked_birrt_searches_within_the_budget(problem):
-    """Balls in the arm's reach, none in contact at the start or the goal."""
+    """Balls fill the arm's workspace, but start and goal are free."""
     problem = replace(problem, constraint=(), goals=problem.goals[:1])
     ends = np.stack([problem.start, problem.goals[0]])
     centres = np.random.default_rng(0).uniform((-0.7, -0.7, 0.0), (0.7, 0.7, 1.2), (500, 3))

@@ -132,7 +132,7 @@ def of_one(reflectivity, gloss=0.0):
 
 
 def seen(solids, material, noise=AXIAL, seed=0):
-    """The middle of the picture, with its true depths and those measured."""
+    """Return true and measured depths in the middle of the picture."""
     view = view_of(solids, CAMERA)
     found = measured(view, solids, material, noise, np.random.default_rng(seed))
     middle = slice(134, 154), slice(140, 180)
@@ -140,7 +140,7 @@ def seen(solids, material, noise=AXIAL, seed=0):
 
 
 def spread(*args, **kwargs):
-    """Standard deviation of the depths measured [m]."""
+    """Return the standard deviation of the measured depths [m]."""
     true, found = seen(*args, **kwargs)
     return np.std((found - true)[np.isfinite(found)])
 

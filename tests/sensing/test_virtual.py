@@ -31,7 +31,7 @@ from cvqmpt_lab.sensing.scan import (
 
 
 def test_the_published_kitchen_cloud(open_kitchen):
-    """About 79 800 points in the crop and 8 500 voxels were counted with another renderer."""
+    """Another renderer gave about 79 800 points in the crop and 8 500 voxels."""
     scene = open_kitchen.with_objects(CAN.at_com("can", (0.5646, 0.1152, 0.271)))
     settings = CameraSettings()
     eyes = np.array([camera.eye for camera in settings.cameras])

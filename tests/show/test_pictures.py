@@ -92,7 +92,7 @@ def test_the_cone_of_a_tilt_is_as_wide_as_its_bound(problem, region):
 
 
 def test_all_of_a_motion_is_inside_of_the_picture(problem, monkeypatch):
-    """Start and goal are equal, and in between the arm swings a long stick far to the side."""
+    """Start and goal are equal; between them the arm swings a long stick far to the side."""
     stick = Attachment("stick", Box((0.05, 0.05, 2.0)), pose((0.0, 0.0, 1.0)))
     carrying, away = replace(problem, attachments=(stick,)), problem.start.copy()
     away[0] += 2.5

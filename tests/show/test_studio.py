@@ -39,12 +39,12 @@ def fresh(live, problem):
 
 
 def hand(response, state):
-    """Pose of the hand at a state of an response's path."""
+    """Return the pose of the hand at a state of a response's path."""
     return response.problem.robot.pose(response.path.states[state])
 
 
 def lifted(T, height):
-    """A pose moved up by a height [m]."""
+    """Return a pose moved up by a height [m]."""
     return pose((0.0, 0.0, height)) @ T
 
 
@@ -150,7 +150,7 @@ def test_files_hold_the_path_that_is_shown(fresh, tmp_path):
 
 @pytest.fixture(scope="module")
 def page(problem):
-    """A page at any free port."""
+    """Return a page of the studio at a free port."""
     pytest.importorskip("viser")
     made = studio(problem, 0)
     made.live.wait()

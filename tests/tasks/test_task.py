@@ -25,7 +25,7 @@ from cvqmpt_lab.tasks.world import World
 
 
 def changed(task, which, **fields):
-    """The task with fields of one phase changed."""
+    """Return the task with changed fields of one phase."""
     assert which in [phase.name for phase in task.phases]
     phases = (replace(p, **fields) if p.name == which else p for p in task.phases)
     return replace(task, phases=tuple(phases))
@@ -36,7 +36,7 @@ def without(task, name):
 
 
 def grasping(task, shape):
-    """The task, whose grasp states an attachment of a shape."""
+    """Return the task with a grasp that gives an attachment of a shape."""
     return changed(task, "grasp-can", attachment=replace(carried_can(), shape=shape))
 
 
@@ -133,7 +133,7 @@ def test_a_whole_task_is_solved_and_every_phase_certified(task_solution):
 
 
 class FailsOnce:
-    """birrt, but its first run for a named phase takes 0.5 s and finds no path."""
+    """`birrt`, except that its first run for a named phase takes 0.5 s and finds no path."""
 
     def __init__(self, phase):
         self.phase, self.failed, self.problem = phase, False, ""
@@ -164,7 +164,7 @@ def test_another_grasp_is_tried_when_a_later_phase_fails(task):
 
 
 class SlidesOnlyWithASecond:
-    """birrt, but slides fail with a budget below one second."""
+    """`birrt`, except that slides fail with a budget below one second."""
 
     def __init__(self):
         self.given, self.problem = [], ""

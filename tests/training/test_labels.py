@@ -1,4 +1,4 @@
-"""Making of training data: near-shortest paths, and labels on a roadmap."""
+"""Generation of training data: almost shortest paths, and labels on a roadmap."""
 
 import dataclasses
 import shutil
@@ -154,7 +154,7 @@ def configurations(stored):
 
 
 def collisions(checker, starts, ends):
-    """Whether each straight motion (..., n) collides at one of 40 states."""
+    """Return whether each straight motion (..., n) collides at one of 40 states."""
     marks = np.linspace(0.0, 1.0, 40)[:, None]
     states = (1.0 - marks) * starts[..., None, :] + marks * ends[..., None, :]
     return checker.in_collision_batch(states.reshape(-1, 7)).reshape(states.shape[:-1]).any(-1)
@@ -168,7 +168,7 @@ def test_free_nodes_edges_and_links_are_free_by_the_exact_checker(scene, graph):
     row, checker, arrays = scene
     node_free = np.unpackbits(arrays["node_free"][row], count=len(graph.nodes)).astype(bool)
     assert not checker.in_collision_batch(graph.nodes[node_free]).any()
-    # others are at least very near
+    # other collisions are at least very near
     assert checker.in_collision_batch(graph.nodes[~node_free]).mean() > 0.8
     edge_free = np.unpackbits(arrays["edge_free"][row], count=len(graph.edges)).astype(bool)
     edges = graph.edges[edge_free][::37]
@@ -178,7 +178,7 @@ def test_free_nodes_edges_and_links_are_free_by_the_exact_checker(scene, graph):
     assert 0.02 < link_free.mean() < 0.98
     nodes = graph.nodes[arrays["link_code"][rows]]
     farthest = np.sort(np.linalg.norm(ends[:, None] - graph.nodes, axis=2))[:, [LINKS_PER_END - 1]]
-    # as far as ends are rounded
+    # equal up to the rounding of stored ends
     assert (np.linalg.norm(ends[:, None] - nodes, axis=2) <= farthest + 1e-3).all()
     collides = collisions(checker, ends[:, None], nodes)
     assert not collides[link_free].any() and collides[~link_free].mean() > 0.9

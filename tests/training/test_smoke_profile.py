@@ -17,9 +17,9 @@ from cvqmpt_lab.vqmpt.weights import robot_signature
 
 @pytest.mark.parametrize("robot_options", ["", "--robot tiago-no-hand --base 0,0,-0.6"])
 def test_from_scenes_to_a_prediction(tmp_path, cvqmpt, robot_options):
-    """For the Panda, and an arm of eight joints whose first joint is prismatic."""
+    """The Panda, and an arm of eight joints whose first joint is prismatic."""
     data, stage1, out = tmp_path / "data", tmp_path / "stage1", tmp_path / "model"
-    # the first of each family validates
+    # the first scene of each family is for validation
     few = f"--scenes 4 --paths-per-scene 4 --seed 9 --family kitchen-like,shelves {robot_options}"
     common = f"--profile smoke --data {data} --device cpu --epochs 1"
     for command in (
@@ -44,7 +44,7 @@ def predicted(predictor, robot, goals):
 
 
 def test_the_published_architecture_learns_from_roadmap_labels_and_plans(tmp_path, cvqmpt):
-    """With the shipped dictionary, whose width is not that of the network."""
+    """The shipped dictionary is used, whose width differs from that of the network."""
     labels, out, config = tmp_path / "labels", tmp_path / "out", tmp_path / "tiny.json"
     scenes = ["--labels", "roadmap", "--family", "table,shelves", "--scenes", "4", "--jobs", "1"]
     cvqmpt("data generate", *scenes, "--out", labels)

@@ -107,7 +107,7 @@ def test_stage_1_leaves_a_dictionary_and_curves(dictionary, data):
 
 
 def test_the_authors_network_learns_from_paths(tmp_path, data, published_dictionary):
-    """In half precision; `test_a_stopped_training_continues` uses full precision."""
+    """Training in half precision; `test_a_stopped_training_continues` uses full precision."""
     profile = changed(PUBLISHED, {"published.precision": "bf16"})
     out = tmp_path / "out"
     go("published", data, out, profile, dictionary=published_dictionary, epochs=1)

@@ -161,7 +161,7 @@ def test_batches_repeat_by_seed_and_have_equal_shares_of_each_scene(dataset, tur
         for name, array in again.items():
             np.testing.assert_array_equal(batch[name], array)
     assert not np.array_equal(first[0]["cloud"], other[0]["cloud"])
-    # each path once, and those of one scene together
+    # each path occurs once, and paths of one scene are together
     lengths = {row: len(dataset.path(row)) for row in dataset.split("train").tolist()}
     scenes = np.concatenate([batch["scene"].repeat(4)[batch["weight"]] for batch in first])
     counts = np.concatenate([batch["counts"][batch["weight"]] for batch in first])

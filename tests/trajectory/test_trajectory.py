@@ -229,7 +229,7 @@ def random_motion(robot, seed=0, pieces=6):
 
 
 def test_what_is_carried_pulls_on_the_joints():
-    """The effort of a load at each joint is the work of lifting it per change of the joint."""
+    """The static effort of a load at a joint is the derivative of its potential energy."""
     robot = panda()
     q = robot.random_configurations(np.random.default_rng(0), 3)
     still = np.zeros_like(q)
@@ -253,7 +253,7 @@ def test_what_is_carried_pulls_on_the_joints():
 
 @pytest.mark.parametrize("name", ["panda", "tiago", "pr2-left"])
 def test_efforts_bend_at_most_as_bounded(name):
-    """Compare second differences of efforts on random quintics; tiago and PR2 have sliders."""
+    """Compare with second differences of efforts on random quintics; tiago and PR2 slide."""
     robot = robot_from_source({"name": name})
     dynamics = Dynamics.of(robot)
     curve = random_motion(robot)
@@ -278,7 +278,7 @@ def test_bounds_of_polynomials_are_above_their_extremes():
 
 
 def test_a_motion_keeps_its_efforts_and_one_beyond_them_is_refused(solution):
-    """Weaker motors take longer; a motion timed for stronger ones then has a fault."""
+    """Lower effort limits take longer; a motion timed with higher limits then has a fault."""
     problem = solution.problem
     strong = certified_motion(problem, solution.path, FULL)
     efforts = weak_efforts(problem, solution.path.states)

@@ -97,7 +97,7 @@ def test_the_distribution_is_the_mixture_of_codes_and_goals(problem, proposed, p
 
 
 def test_every_waypoint_is_read_along_the_nodes_of_sequences(problem, proposed):
-    """Codes of states 0.13 rad apart from start to goal over the nodes; repeats are left out."""
+    """Codes of states 0.13 rad apart from start to goal through the nodes, without repetitions."""
     proposal = proposed("cvq:transformer+every-waypoint")
     nodes = dictionary_roadmap("vq_mpt", problem.robot).nodes
     listed = []
@@ -122,7 +122,7 @@ def test_gaussians_along_sequences_hold_start_and_goals(problem, proposed):
 
 @pytest.mark.parametrize("predictor", ["nearest-lines", "transformer-lines", "solved", "oracle"])
 def test_controls_give_polylines_from_the_start_to_goals(problem, proposed, predictor):
-    """Straight lines or paths, along which codes are read or Gaussians lie."""
+    """Controls give straight lines or paths, along which codes are read or Gaussians are placed."""
     lines = proposed(f"cvq:{predictor}+every-waypoint").polylines
     for line in lines:
         np.testing.assert_array_equal(line[0], problem.start)
@@ -203,7 +203,7 @@ def test_controls_solve_repeat_and_give_up(problem, name):
 
 
 def test_a_roadmap_needs_its_own_scene():
-    """With another scene's edge costs, a planner needs more work, summed over a few problems."""
+    """With edge costs of another scene, the work summed over a few problems is larger."""
     ratios = []
     for environment in (1003, 1007, 1017, 1020, 1030):
         problem = with_drawn_goals(place_problem(environment))

@@ -137,7 +137,7 @@ def test_prefix_logits_see_the_prefix_in_any_order(sequence_model):
     assert context.shape == (2, 2, 16) and full.shape == (2, 14)
     alone = sequence_model.prefix_logits(context[1:], codes[1:], quantizer)
     torch.testing.assert_close(full[1:], alone)
-    # no position code
+    # without position code
     swapped = sequence_model.prefix_logits(context[1:], torch.tensor([[5, 4, 6]]), quantizer)
     torch.testing.assert_close(alone, swapped)
     start = sequence_model.prefix_logits(context, codes[:, :0], quantizer)
@@ -161,7 +161,7 @@ def test_context_tokens_ignore_each_other(sequence_model):
 
 
 def beam_by_hand(odds, k, length):
-    """Find codes, with the goal token if it was reached, and score, by the authors' rules.
+    """Return codes (with the goal token if it was reached) and score, by the authors' rules.
 
     odds: returns the probabilities of all classes after a prefix of codes.
     """

@@ -115,7 +115,7 @@ def test_the_command_writes_the_histogram_and_leaves_files_of_others_alone(
     mine.mkdir()
     (mine / "thesis.tex").write_text("mine")
     told = command_refused(capsys, *words.split(), mine)
-    assert "holds files without provenance.json" in told
+    assert "has files but no provenance.json" in told
     assert [path.name for path in mine.iterdir()] == ["thesis.tex"]
 
 
