@@ -16,6 +16,7 @@ from cvqmpt_lab.base.files import read_json_object
 from cvqmpt_lab.benchmarks.declarations import SUITES
 from cvqmpt_lab.benchmarks.suite import suite_named
 from cvqmpt_lab.cli.options import (
+    FLAG,
     REPEATED,
     Options,
     not_negative,
@@ -82,6 +83,12 @@ ROBOT_DETAILS: Options = {  # for robots given by name or by file
         "pose of the base: position [m], roll, pitch and yaw [rad]",
         type=_placement,
         metavar="X,Y,Z[,ROLL,PITCH,YAW]",
+    ),
+    "--hard-limits": option(
+        "plan to the joint limits, beyond the soft ones of the URDF's safety_controller", **FLAG
+    ),
+    "--visual-as-collision": option(
+        "links without a collision body get their visual bodies", **FLAG
     ),
     "--acceleration": option(
         "acceleration limits, one per joint or one for all [rad/s^2 or m/s^2]; required by "
@@ -183,6 +190,8 @@ def robot_options(args: argparse.Namespace) -> dict[str, Any]:
         "acceleration_limits": args.acceleration,
         "jerk_limits": args.jerk,
         "effort_limits": args.effort,
+        "hard_limits": args.hard_limits or None,
+        "visual_as_collision": args.visual_as_collision or None,
     }
     return {name: value for name, value in given.items() if value not in (None, [], {})}
 

@@ -3,12 +3,13 @@
 import argparse
 import json
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from cvqmpt_lab.base.errors import few
 from cvqmpt_lab.cli.options import FLAG, Options, option, writable_file
 from cvqmpt_lab.cli.problem_options import ROBOT_DETAILS, robot_options
 from cvqmpt_lab.collision.exact import CollisionChecker
@@ -85,6 +86,8 @@ def describe(robot: Robot, tried: int = 200) -> dict[str, Any]:
             [robot.links[i].name, robot.links[k].name] for i, k in robot.self_collision_pairs
         ],
         "left_out_pairs": [[p.first, p.second, p.reason] for p in robot.left_out_pairs],
+        "links_without_body": list(robot.bodiless),
+        "notes": robot.notes,
         "share_free_of_self_collision": float(1.0 - collide.mean()),
     }
 
@@ -117,16 +120,14 @@ def report(robot: Robot, model: dict[str, Any], guesses: list[str]) -> Iterator[
         yield f"joint        {joint['name']}: {joint['kind']}, {limits}{speed_limit}"
     for reason, count in Counter(joint.reason for joint in robot.held_joints).items():
         names = [f"{j.name}={j.value:g}" for j in robot.held_joints if j.reason == reason]
-        yield f"held         {count} {reason}: {_few(names)}"
+        yield f"held         {count} {reason}: {_listed(names)}"
     for follower in robot.followers:
         yield (
             f"follows      {follower.name} = {follower.multiplier:g} * {follower.leader} "
             f"{follower.offset:+g}"
         )
-    yield f"frames       {len(model['frames'])}: {_few(model['frames'])}"
-    yield f"pieces       {len(robot.links)}: {_few([piece.name for piece in robot.links])}"
-    if not robot.links:
-        yield ("             none: no link can collide; add <collision> to the links in the URDF")
+    yield f"frames       {len(model['frames'])}: {_listed(model['frames'])}"
+    yield f"pieces       {len(robot.links)}: {_listed([piece.name for piece in robot.links])}"
     reasons = Counter(pair.reason for pair in robot.left_out_pairs)
     left_out = ", ".join(f"{count} {reason}" for reason, count in reasons.items()) or "none"
     yield (
@@ -138,16 +139,16 @@ def report(robot: Robot, model: dict[str, Any], guesses: list[str]) -> Iterator[
             yield f"             {pair.first} and {pair.second} {pair.reason}: not checked"
     free = 100.0 * model["share_free_of_self_collision"]
     yield f"free         {free:.0f} % of random configurations are free of self-collision"
+    for note in robot.notes:
+        yield f"note         {note}"
     if "acceleration" not in robot.limits:
         yield "timing       no acceleration limits: --trajectory needs --acceleration"
     if unlimited := without_effort_limit(robot):
         yield f"timing       {unlimited}"
 
 
-def _few(names: list[str], most: int = 8) -> str:
-    return ", ".join(names[:most]) + (
-        f", ... (--json lists {len(names)})" if len(names) > most else ""
-    )
+def _listed(names: Iterable[str]) -> str:
+    return few(names, counted="--json lists {}")
 
 
 OPTIONS: Options = {

@@ -204,6 +204,8 @@ class PlanningProblem(Document):
             outside = self.robot.joint_outside_limits(q)
             if outside is not None:
                 cure = "degrees? Give radians" if outside[1] > FULL_TURN_RAD else "move it inside"
+                if outside[0] in self.robot.soft_limited:
+                    cure += ", or plan beyond the soft limits of the URDF: --hard-limits"
                 raise InvalidProblemError(
                     f"{self.name}: {label} is outside the limits: {outside[0]} by "
                     f"{outside[1]:.4g}; {cure}"

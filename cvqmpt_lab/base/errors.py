@@ -25,6 +25,14 @@ def shown(value: object) -> str:
     return text if len(text) <= MAX_VALUE_CHARACTERS else text[:MAX_VALUE_CHARACTERS] + "..."
 
 
+def few(names: Iterable[str], most: int = 8, counted: str = "{} in all") -> str:
+    """Return the first `most` names, separated by commas, and the number of all if it is larger."""
+    every = list(dict.fromkeys(names))
+    if len(every) <= most:
+        return ", ".join(every)
+    return f"{', '.join(every[:most])}, ... ({counted.format(len(every))})"
+
+
 def nearest(value: object, choices: Iterable[object]) -> str:
     """Return "; did you mean 'x'?" with the most similar choice, or "" if none is similar."""
     import difflib  # imported here: only errors need it

@@ -176,6 +176,10 @@ def certify(
             f"middle, where {pair} are {1e3 * gap:.2g} mm apart"
         )
         faults.append(Fault(FaultKind.NOT_PROVEN, text, _place(path.states, q)))
+    missing = problem.robot.nothing_collides
+    if missing and problem.scene.obstacles and not problem.attachments:
+        text = f"nothing is compared with {len(problem.scene.obstacles)} obstacles: {missing}"
+        faults.append(Fault(FaultKind.NOT_PROVEN, text))
     proven_free = proof.colliding is None and proof.unproven is None
     proven_m = problem.clearance if proven_free else -np.inf
     # the checker's margin is the distance of a motion from the straight pieces that stand for it

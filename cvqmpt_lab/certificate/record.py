@@ -155,6 +155,7 @@ def report_lines(found: DryRun, contents: dict[str, Any]) -> list[str]:
         f"{compared['obstacles']} obstacles)",
         f"left out    {compared['standing_pieces']} standing pieces with obstacles; pairs of "
         f"links: {left or 'none'}",
+        *(f"note        {note}" for note in compared["notes"]),
         f"tolerances  constraint {tolerances['constraint']:g} rad or m, step "
         f"{tolerances['step_rad']:g} rad, ends {tolerances['ends_rad']:g} rad, margin "
         f"{1e3 * tolerances['margin_m']:.2g} mm, clearance from obstacles "
@@ -224,6 +225,8 @@ def _compared(problem: PlanningProblem) -> dict[str, Any]:
         "out_of_reach": [name for name, count in obstacles.items() if count == 0],
         "own_pairs": len(robot.collision_model.collisionPairs) + own,
         "left_out": left_out,
+        "links_without_body": list(robot.bodiless),
+        "notes": robot.notes,
     }
 
 

@@ -38,7 +38,7 @@ class Solution:
 
     def __repr__(self) -> str:
         outcome = "solved and certified" if self.solved else "not solved"
-        brief = ("status", "left out", "length", "certificate")
+        brief = ("note", "status", "left out", "length", "certificate")
         lines = [line for line in self.report() if line[:12].strip() in brief]
         return "\n".join([f"Solution of {self.problem.name!r}: {outcome}", *lines])
 
@@ -74,6 +74,7 @@ class Solution:
         lines = [
             f"problem     {self.problem.name}: robot {self.problem.robot.name}, "
             f"{len(self.goals)} goals",
+            *(f"note        {note}" for note in self.problem.robot.notes),
             *_left_out(self.left_out),
             f"constraint  {_bounds(self)}",
             f"planner     {f'{chosen}, {samples}' if planner else samples}",
@@ -163,6 +164,8 @@ def _distances(certificate: Certificate, small: float = 0.002) -> str:
         texts.append(f"{text} (small: {obstacles.pair})" if obstacles.distance_m < small else text)
     if own:
         texts.append(f"self {1e3 * own.distance_m:.1f} mm")
+    if not texts and certificate.min_clearance_m == np.inf:
+        return "from nothing: no pair to compare"
     return ", ".join(texts) or f"{1e3 * certificate.min_clearance_m:.1f} mm"
 
 

@@ -22,6 +22,7 @@ from cvqmpt_lab.base.errors import (
     shown,
 )
 from cvqmpt_lab.base.values import Array, FloatArray
+from cvqmpt_lab.robot.bodies import Prepared, prepare_bodies
 from cvqmpt_lab.robot.hulls import (
     checked_pairs,
     hulls_of_meshes,
@@ -50,7 +51,7 @@ from cvqmpt_lab.robot.source import (
 from cvqmpt_lab.robot.urdf import (
     LOCKED,
     Urdf,
-    check_bodies,
+    check_turns,
     held_joints,
     one_coordinate_a_joint,
     read_urdf,
@@ -78,6 +79,8 @@ def load_robot(
     effort_limits: float | Sequence[float] | None = None,
     torque_rate_limits: float | Sequence[float] | None = None,
     base: np.ndarray | None = None,
+    hard_limits: bool = False,
+    visual_as_collision: bool = False,
 ) -> Robot:
     """Load the arm of revolute and prismatic joints from the base of a URDF to one of its frames.
 
@@ -95,6 +98,8 @@ def load_robot(
         effort_limits: (n,), or one for all joints [Nm or N]; None: plausible ones of the URDF.
         torque_rate_limits: (n,), or one for all joints [Nm/s or N/s].
         base: (4, 4) pose of the base link in the world; None: the identity.
+        hard_limits: whether joints move beyond the soft limits of their <safety_controller>.
+        visual_as_collision: whether links without a collision body get their visual bodies.
     """
     source: dict[str, Any] = {"urdf": str(Path(urdf).resolve())}
     if isinstance(end_effector, str):
@@ -114,7 +119,8 @@ def load_robot(
         "base": base,
     }
     given = {k: np.asarray(v).tolist() for k, v in numbers.items() if v is not None}
-    return _built(source | given)
+    flags = {"hard_limits": hard_limits, "visual_as_collision": visual_as_collision}
+    return _built(source | given | {name: True for name, value in flags.items() if value})
 
 
 def robot_from_source(source: Mapping[str, Any]) -> Robot:
@@ -179,7 +185,11 @@ def _built(source: Mapping[str, Any], free: Sequence[str] = ()) -> Robot:
     urdf = read_urdf(Path(given.urdf))
     held, followers = held_joints(urdf, given.end_effectors, given.locked, given.base is not None)
     held = tuple(joint for joint in held if joint.name not in free)
-    model, geometry, meshes = _models(urdf, given, held)
+    model, geometry, meshes, bodies = _models(urdf, given, held)
+    following = {joint.name for joint in followers}
+    planned = [name for name in list(model.names)[1:] if name not in {*following, *free}]
+    check_turns(urdf, planned)
+    soft = () if given.hard_limits else _within_soft_limits(model, urdf, planned)
     _limit_leaders(model, urdf, followers)
     axes = axis_frames(model)
     kinematics = kinematics_arrays(model, axes, followers)
@@ -213,6 +223,9 @@ def _built(source: Mapping[str, Any], free: Sequence[str] = ()) -> Robot:
         self_collision_pairs=(),
         held_joints=held,
         followers=followers,
+        soft_limited=soft,
+        bodiless=bodies.bodiless,
+        remarks=bodies.notes,
         limits={"effort": plausible, **limits},
         files=tuple({**read, **meshes}.items()),
     )
@@ -230,6 +243,28 @@ def _built(source: Mapping[str, Any], free: Sequence[str] = ()) -> Robot:
     left_out = left_out_pairs(model, geometry, robot.links, robot.kinematics, urdf, given.srdf)
     pairs = checked_pairs(model, geometry, left_out)
     return replace(robot, self_collision_pairs=pairs, left_out_pairs=left_out)
+
+
+def _within_soft_limits(model: pin.Model, urdf: Urdf, planned: Sequence[str]) -> tuple[str, ...]:
+    """Narrow the limits of planned joints to the soft ones of the URDF; return which changed."""
+    narrowed = []
+    for joint in (urdf.joints[name] for name in planned):
+        j = model.getJointId(joint.name) - 1
+        hard = model.lowerPositionLimit[j], model.upperPositionLimit[j]
+        # limits that are not stated, or empty, are no limits; a continuous joint has none
+        if joint.kind == "continuous" or not joint.soft_lower < joint.soft_upper:
+            continue
+        lower, upper = max(hard[0], joint.soft_lower), min(hard[1], joint.soft_upper)
+        if not lower < upper:
+            raise InvalidInputError(
+                f"joint {joint.name!r} of {urdf.path.name} has soft limits "
+                f"[{joint.soft_lower:g}, {joint.soft_upper:g}] outside its limits [{hard[0]:g}, "
+                f"{hard[1]:g}]: correct its <safety_controller>, or leave it out: --hard-limits"
+            )
+        if (lower, upper) != hard:
+            model.lowerPositionLimit[j], model.upperPositionLimit[j] = lower, upper
+            narrowed.append(joint.name)
+    return tuple(narrowed)
 
 
 def _limit_leaders(model: pin.Model, urdf: Urdf, followers: Sequence[Follower]) -> None:
@@ -262,14 +297,14 @@ def _limit_leaders(model: pin.Model, urdf: Urdf, followers: Sequence[Follower]) 
 
 def _models(
     urdf: Urdf, given: RobotSource, held: Sequence[HeldJoint], prefix: str = "joint: "
-) -> tuple[pin.Model, pin.GeometryModel, dict[str, str]]:
-    """Return pinocchio's models of kinematics and shapes, and the sha256 of each mesh by path.
+) -> tuple[pin.Model, pin.GeometryModel, dict[str, str], Prepared]:
+    """Return pinocchio's models of kinematics and shapes, sha256 of meshes by path, and remarks.
 
     Held joints are fixed, and the robot stands on the given base. prefix: put in front of the
     joints' names meanwhile: pinocchio confuses a joint and a link of the same name.
     """
-    check_bodies(urdf.root, urdf.path)
     root = one_coordinate_a_joint(urdf)
+    bodies = prepare_bodies(root, urdf.path, given.visual_as_collision)
     meshes = find_collision_meshes(root, urdf.path, [Path(folder) for folder in given.package_dirs])
     digests = {path: content_digest(path) for path in meshes}
     hulls = hulls_of_meshes(root, digests)
@@ -308,7 +343,7 @@ def _models(
         for fixed in (*list(model.frames)[1:], *geometry.geometryObjects):
             if fixed.parentJoint == 0:
                 fixed.placement = base * fixed.placement
-    return model, geometry, digests
+    return model, geometry, digests, bodies
 
 
 def numbers_of(robot: Robot, value: Any, where: str) -> Any:

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from cvqmpt_lab.base.errors import InvalidInputError, require_choice
+from cvqmpt_lab.base.errors import InvalidInputError, few, require_choice
 from cvqmpt_lab.base.values import frozen
 from cvqmpt_lab.robot.kinematics import Kinematics
 
@@ -186,6 +186,9 @@ class Robot:
     left_out_pairs: tuple[LeftOut, ...] = ()
     held_joints: tuple[HeldJoint, ...] = ()  # joints of the URDF that planning does not move
     followers: tuple[Follower, ...] = ()  # joints that mimic planned joints
+    soft_limited: tuple[str, ...] = ()  # planned joints whose soft limits are narrower
+    bodiless: tuple[str, ...] = ()  # links with a visual and no collision body
+    remarks: tuple[str, ...] = ()  # on what was read of the URDF and SRDF otherwise than written
     # (n,) each, by the field's name in `JointLimits`; unknown ones and velocity are left out
     limits: Mapping[str, np.ndarray] = field(default_factory=dict)
     files: tuple[tuple[str, str], ...] = ()  # path and sha256 of each source file
@@ -261,6 +264,30 @@ class Robot:
         return np.isin(np.arange(self.dof), k.entry[k.moves[:, row]])
 
     @property
+    def nothing_collides(self) -> str:
+        """Reason why no distance of the robot can be checked; "" if some moving link has a body."""
+        if any(piece.link > 0 for piece in self.links):
+            return ""
+        cure = ": --visual-as-collision takes the visual ones" if self.bodiless else ""
+        return f"none of the moving links has a collision body{cure}"
+
+    @property
+    def notes(self) -> list[str]:
+        """Lines on what planning does otherwise than the robot's files may let expect."""
+        notes = [f"nothing can collide: {self.nothing_collides}"] if self.nothing_collides else []
+        if self.bodiless:
+            notes.append(
+                f"cannot collide: {few(self.bodiless)}, with a <visual> and no <collision>; "
+                "--visual-as-collision takes the visual"
+            )
+        if self.soft_limited:
+            notes.append(
+                f"within the soft limits of {few(self.soft_limited)}; --hard-limits plans to the "
+                "others"
+            )
+        return [*notes, *self.remarks]
+
+    @property
     def velocity_limits(self) -> np.ndarray:
         """Velocity limits (n,) of the planned joints [rad/s or m/s]; 0 or inf where unknown."""
         return np.array(self.model.upperVelocityLimit)[self.kinematics.order[: self.dof]]
@@ -281,6 +308,16 @@ class Robot:
                 f"robot {self.name} has no acceleration limits, which a URDF cannot state: give "
                 "load_robot(..., acceleration_limits=...), on the command line --acceleration, "
                 "in a problem file 'acceleration_limits' of 'robot'"
+            )
+        unknown = [
+            name
+            for name, most in zip(self.joint_names, self.velocity_limits, strict=True)
+            if not most > 0.0
+        ]
+        if unknown:
+            raise InvalidInputError(
+                f"robot {self.name} has velocity limits of 0 for {', '.join(unknown)}: give each "
+                '<limit> of the URDF its motor\'s velocity="..." [rad/s or m/s]'
             )
         return JointLimits(self.joint_names, self.velocity_limits, **self.limits)
 

@@ -49,6 +49,10 @@ class RobotSource:
     torque_rate_limits: Annotated[FloatArray, PerJoint()] | None = None
     # folders that are searched first for ``package://`` mesh paths
     package_dirs: tuple[str, ...] = ()
+    # whether <safety_controller> does not narrow the joint limits
+    hard_limits: bool = False
+    # whether links without a collision body get their visual bodies
+    visual_as_collision: bool = False
     # (4, 4) pose of the URDF's base link in the world; None: the identity
     base: Pose | None = None
     name: str = ""  # a key of `ARMS`, instead of a URDF; other fields replace the named arm's
@@ -59,7 +63,8 @@ class RobotSource:
     @property
     def limits(self) -> dict[str, FloatArray | None]:
         """Fields that are limits, by name; None: not given."""
-        return {name: values for name, values in vars(self).items() if name.endswith("_limits")}
+        kinds = ("acceleration", "jerk", "effort", "torque_rate")
+        return {name: getattr(self, name) for name in (f"{kind}_limits" for kind in kinds)}
 
 
 def with_absolute_paths(folder: Path, source: Any) -> Any:

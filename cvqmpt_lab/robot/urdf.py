@@ -10,11 +10,9 @@ import math
 import re
 import xml.etree.ElementTree as ElementTree
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import product
 from pathlib import Path
-from typing import NamedTuple
 
 from cvqmpt_lab.base.errors import (
     InvalidInputError,
@@ -43,6 +41,9 @@ class Joint:
     mimics: str | None  # joint m that it follows, q = multiplier * q_m + offset, or None
     multiplier: float
     offset: float  # [rad or m]
+    # of <safety_controller>, inside which a controller brakes [rad or m]; nan if not stated
+    soft_lower: float = math.nan
+    soft_upper: float = math.nan
 
     @property
     def immovable_reason(self) -> str | None:
@@ -115,6 +116,12 @@ def read_urdf(path: Path) -> Urdf:
     invalid = f"{path} does not contain a valid URDF"
     if root.tag != "robot":
         raise InvalidInputError(f"{invalid}: its root is <{root.tag}>, not <robot>")
+    expressions = sorted({element.tag for element in root.iter() if "xacro" in element.tag})
+    if expressions:
+        raise InvalidInputError(
+            f"{invalid}: it has unexpanded elements of xacro, such as "
+            f"<{expressions[0].rpartition('}')[2]}>; expand it: xacro {path.name} > expanded.urdf"
+        )
     if not root.get("name"):
         raise InvalidInputError(f"{invalid}: its <robot> has no name")
     links = tuple(link.get("name", "") for link in root.findall("link"))
@@ -128,8 +135,9 @@ def _joint(element: ElementTree.Element, path: Path, most_turn: float = 1e5) -> 
     # stands for elements that the file does not have
     nothing = ElementTree.Element("nothing")
     parts = {part.tag: part for part in reversed(element)}
-    parent, child, limit, mimic = (
-        parts.get(tag, nothing) for tag in ("parent", "child", "limit", "mimic")
+    parent, child, limit, mimic, safety = (
+        parts.get(tag, nothing)
+        for tag in ("parent", "child", "limit", "mimic", "safety_controller")
     )
 
     def number(part: ElementTree.Element, attribute: str, default: float) -> float:
@@ -159,6 +167,8 @@ def _joint(element: ElementTree.Element, path: Path, most_turn: float = 1e5) -> 
             mimics=None if mimic is nothing else mimic.get("joint", ""),
             multiplier=number(mimic, "multiplier", 1.0),
             offset=number(mimic, "offset", 0.0),
+            soft_lower=number(safety, "soft_lower_limit", math.nan),
+            soft_upper=number(safety, "soft_upper_limit", math.nan),
         )
         if not (math.isfinite(joint.multiplier) and math.isfinite(joint.offset)):
             raise InvalidInputError(
@@ -351,6 +361,18 @@ def _followed(urdf: Urdf, name: str, held: Mapping[str, HeldJoint]) -> Follower:
     return Follower(name, seen[-1], multiplier, offset)
 
 
+def check_turns(urdf: Urdf, planned: Sequence[str], most: float = 4.0) -> None:
+    """Refuse planned hinges whose limits lie more than `most` turns apart: degrees."""
+    for joint in (urdf.joints[name] for name in planned):
+        turns = (joint.upper - joint.lower) / FULL_TURN_RAD
+        if joint.kind == "revolute" and turns > most:
+            raise InvalidInputError(
+                f"joint {joint.name!r} of {urdf.path.name} turns from {joint.lower:g} to "
+                f"{joint.upper:g} rad, {turns:.0f} turns: degrees? Give limits in radians, make "
+                f"it continuous, or hold it: --lock {joint.name}=0"
+            )
+
+
 def one_coordinate_a_joint(urdf: Urdf) -> ElementTree.Element:
     """Return a copy of the URDF in which every joint has one coordinate or is fixed.
 
@@ -388,72 +410,3 @@ def collada_unit(data: bytes) -> float:
         text = stated[1].decode(errors="replace")
         raise InvalidInputError(f"its unit is {shown(text)} m; give a positive number")
     return unit
-
-
-def check_bodies(root: ElementTree.Element, path: Path) -> None:
-    """Refuse a malformed collision body, origin or axis; the message names its link or joint.
-
-    root: root element of the URDF. path: its file, for messages.
-    """
-    known = ("box", "cylinder", "sphere", "mesh")
-    for link in root.findall("link"):
-        for body in link.findall("collision"):
-            with located(f"link {shown(link.get('name'))} of {path.name}, collision"):
-                shapes = [shape for geometry in body.findall("geometry") for shape in geometry]
-                if len(shapes) != 1:
-                    raise InvalidInputError(
-                        f"it has {len(shapes)} shapes; give one <geometry> with one of "
-                        f"{', '.join(known)}"
-                    )
-                require_choice("shape", shapes[0].tag, known)
-                _check_numbers([shapes[0], *body.findall("origin")])
-    for joint in root.findall("joint"):
-        axes = [] if joint.get("type") == "fixed" else joint.findall("axis")
-        with located(f"joint {shown(joint.get('name'))} of {path.name}"):
-            _check_numbers([*joint.findall("origin"), *axes])
-
-
-class NumbersOf(NamedTuple):
-    """Numbers that an attribute of a collision body or joint must have."""
-
-    tag: str  # element that has the attribute
-    attribute: str
-    length: int  # count of numbers
-    fits: Callable[[Sequence[float]], bool] = lambda _: True  # condition on the numbers
-    cure: str = ""  # description of numbers that fit, for messages
-    has_default: bool = False  # whether the attribute may be left out
-
-
-def _positive(values: Sequence[float]) -> bool:
-    return min(values) > 0.0
-
-
-URDF_NUMBERS = (
-    NumbersOf("box", "size", 3, _positive, "more than 0 [m]"),
-    NumbersOf("cylinder", "radius", 1, _positive, "more than 0 [m]"),
-    NumbersOf("cylinder", "length", 1, _positive, "more than 0 [m]"),
-    NumbersOf("sphere", "radius", 1, _positive, "more than 0 [m]"),
-    NumbersOf("mesh", "scale", 3, all, "numbers other than 0", has_default=True),
-    NumbersOf("origin", "xyz", 3, has_default=True),
-    NumbersOf("origin", "rpy", 3, has_default=True),
-    NumbersOf("axis", "xyz", 3, any, "a direction"),
-)
-
-
-def _check_numbers(elements: Sequence[ElementTree.Element]) -> None:
-    """Refuse elements whose attributes do not have the numbers that `URDF_NUMBERS` demands."""
-    for element, wanted in product(elements, URDF_NUMBERS):
-        text = element.get(wanted.attribute, "")
-        stated = wanted.attribute in element.attrib
-        if element.tag != wanted.tag or (wanted.has_default and not stated):
-            continue
-        what = f"{wanted.attribute} of its {wanted.tag} is {shown(text)}"
-        try:
-            values = [float(word) for word in text.split()]
-        except ValueError:
-            values = []
-        # Python reads 1_0 as a number
-        if len(values) != wanted.length or not all(map(math.isfinite, values)) or "_" in text:
-            raise InvalidInputError(f"{what}; it must be {wanted.length} finite numbers")
-        if not wanted.fits(values):
-            raise InvalidInputError(f"{what}; give {wanted.cure}")

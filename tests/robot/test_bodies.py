@@ -1,0 +1,141 @@
+"""Links without a collision body, placeholders, flat bodies, soft limits, and wrong zeros."""
+
+import numpy as np
+import pytest
+from refusals import refused
+
+from cvqmpt_lab.certificate.certificate import FaultKind, Verdict, certify
+from cvqmpt_lab.certificate.motion_check import DryRun
+from cvqmpt_lab.certificate.record import record, report_lines
+from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.robot.load import load_robot, robot_from_source
+from cvqmpt_lab.robot.source import ARMS
+from cvqmpt_lab.scene.scene import Scene, SceneObject, pose
+from cvqmpt_lab.scene.shapes import Box
+from cvqmpt_lab.search.result import JointPath
+from cvqmpt_lab.trajectory.trajectory import Motion
+
+ELBOW = '<link name="elbow"><collision>'
+ELBOW_END = '<cylinder radius="0.03" length="0.2"/></geometry></collision>'
+LIFT_END = '<limit lower="-2" upper="2" effort="1" velocity="1"/>'
+SAFETY = '<safety_controller k_velocity="1" soft_lower_limit="{}" soft_upper_limit="{}"/>'
+SPHERE = '<geometry><sphere radius="0.04"/></geometry>'
+WALL = Scene("wall", (SceneObject("wall", Box((0.02, 3.0, 3.0)), pose((1.4, 0.0, 0.0))),))
+
+
+def only_visual(text):
+    return text.replace("<collision>", "<visual>").replace("</collision>", "</visual>")
+
+
+def still(robot, scene=WALL):
+    """A problem that ends where it begins, and its path."""
+    q = np.full(robot.dof, 0.1)
+    problem = PlanningProblem("still", robot, scene, q, q[None])
+    return problem, JointPath(np.stack([q, q]))
+
+
+def test_links_with_a_visual_and_no_collision_body_are_named_everywhere(edited):
+    urdf = edited((ELBOW, only_visual(ELBOW)), (ELBOW_END, only_visual(ELBOW_END)))
+    robot = load_robot(urdf, "tool")
+    assert robot.bodiless == ("elbow",)
+    (note,) = robot.notes
+    assert note.startswith("cannot collide: elbow, with a <visual> and no <collision>")
+    problem, path = still(robot)
+    certificate = certify(problem, path)
+    assert certificate.valid
+    motion = Motion(robot.joint_names, path.states)
+    contents = record(problem, motion, DryRun(certificate, path.states))
+    assert contents["compared"]["links_without_body"] == ["elbow"]
+    lines = report_lines(DryRun(certificate, path.states), contents)
+    assert f"note        {note}" in lines
+    taken = load_robot(urdf, "tool", visual_as_collision=True)
+    assert taken.notes == ["visual bodies are taken: elbow"] and taken.bodiless == ()
+    plain = load_robot(edited(), "tool")
+    for piece, same in zip(taken.links, plain.links, strict=True):
+        np.testing.assert_array_equal(piece.vertices_in_link, same.vertices_in_link)
+    assert robot_from_source(taken.source).bodiless == ()
+
+
+def test_a_robot_without_any_moving_body_is_not_certified_among_obstacles(slider_arm_urdf, edited):
+    text = slider_arm_urdf.read_text()
+    first = text.index('<link name="carriage">')
+    rest = text[first:]
+    robot = load_robot(edited((rest, only_visual(rest))), "tool")
+    problem, path = still(robot)
+    certificate = certify(problem, path)
+    assert certificate.verdict is Verdict.NOT_PROVEN
+    (fault,) = certificate.faults
+    assert fault.kind is FaultKind.NOT_PROVEN
+    cure = "none of the moving links has a collision body: --visual-as-collision takes"
+    assert f"nothing is compared with 1 obstacles: {cure}" in fault.text
+    # nothing to collide with: the motion itself is proven, and the robot says what it lacks
+    assert certify(*still(robot, Scene("empty", ()))).valid
+    assert robot.notes[0].startswith("nothing can collide")
+
+
+@pytest.mark.parametrize(
+    "placeholder",
+    [
+        '<geometry><box size="0 0 0"/></geometry>',
+        '<geometry><sphere radius="0"/></geometry>',
+        '<geometry><cylinder radius="0" length="0"/></geometry>',
+        "<geometry/>",
+        "",
+    ],
+)
+def test_placeholders_of_size_0_are_no_bodies(edited, placeholder):
+    robot = load_robot(edited((SPHERE, placeholder)), "tool")
+    assert "wrist_0" not in [piece.name for piece in robot.links]
+    assert len(robot.links) == 5 and robot.notes == ["without size, no body: wrist"]
+
+
+def test_a_flat_body_gets_a_thickness(edited):
+    robot = load_robot(edited(('size="0.1 0.12 0.08"', 'size="0.1 0.12 0"')), "tool")
+    (plate,) = (piece for piece in robot.links if piece.name == "carriage_0")
+    np.testing.assert_allclose(np.ptp(plate.vertices, axis=0), (0.1, 0.12, 1e-4))
+    assert robot.notes == []
+
+
+def test_unknown_parts_of_links_are_named(edited):
+    typo = (SPHERE, SPHERE + '</collision><colision name="a"></colision><collision>' + SPHERE)
+    (note,) = load_robot(edited(typo), "tool").notes
+    assert note == "unknown and skipped: <colision> of wrist; did you mean 'collision'?"
+
+
+def test_joints_are_planned_within_their_soft_limits(edited):
+    soft = (LIFT_END, LIFT_END + SAFETY.format(-0.5, 5))
+    robot = load_robot(edited(soft), "tool")
+    np.testing.assert_allclose((robot.lower[1], robot.upper[1]), (-0.5, 2.0))
+    assert robot.soft_limited == ("lift",)
+    assert robot.notes == ["within the soft limits of lift; --hard-limits plans to the others"]
+    there = np.array([0.0, -0.6, 0.0, 0.0])
+    pattern = "goal 0 is outside the limits: lift by 0.1.*--hard-limits"
+    empty = Scene("empty", ())
+    refused(pattern, PlanningProblem, "soft", robot, empty, 0.0 * there, there[None])
+    hard = load_robot(edited(soft), "tool", hard_limits=True)
+    np.testing.assert_allclose((hard.lower[1], hard.upper[1]), (-2.0, 2.0))
+    assert hard.notes == [] and robot_from_source(hard.source).soft_limited == ()
+    # limits that are not stated, or empty, are placeholders
+    unset = load_robot(edited((LIFT_END, LIFT_END + SAFETY.format(0, 0))), "tool")
+    assert unset.soft_limited == ()
+
+
+def test_soft_limits_of_robots_by_name():
+    narrow = {"pr2", "tiago", "tiago-no-hand", "tiago-dual", "tiago-pro"}
+    narrow |= {name for name in ARMS if name.rpartition("-")[0] in narrow}
+    for name in ("panda", "talos", "pr2", "tiago-pro"):
+        robot = robot_from_source({"name": name})
+        assert bool(robot.soft_limited) == (name in narrow)
+    hard = robot_from_source({"name": "pr2", "hard_limits": True})
+    soft = robot_from_source({"name": "pr2"})
+    assert (hard.upper >= soft.upper).all() and (hard.upper > soft.upper + 0.01).any()
+
+
+def test_a_velocity_of_0_is_refused_with_the_place_to_give_one(edited):
+    robot = load_robot(
+        edited((LIFT_END, LIFT_END.replace('velocity="1"', 'velocity="0"'))),
+        "tool",
+        acceleration_limits=2.0,
+    )
+    pattern = r"slider_arm has velocity limits of 0 for lift: give each <limit> of the URDF"
+    refused(pattern, lambda: robot.joint_limits)
