@@ -212,14 +212,8 @@ def left_out_pairs(
         contact: distance [m] that counts as overlap; with 0, coal misses overlaps of 1.3 mm.
     """
     if srdf:
-        return tuple(
-            LeftOut(
-                item.get("link1", ""),
-                item.get("link2", ""),
-                "SRDF: " + item.get("reason", "left out by the SRDF"),
-            )
-            for item in srdf_root(Path(srdf)).findall("disable_collisions")
-        )
+        names = dict.fromkeys(model.frames[i.parentFrame].name for i in geometry.geometryObjects)
+        return _left_out_by_srdf(srdf_root(Path(srdf)), list(names))
     pieces: dict[str, list[int]] = {}
     for k, item in enumerate(geometry.geometryObjects):
         pieces.setdefault(model.frames[item.parentFrame].name, []).append(k)
@@ -248,6 +242,36 @@ def left_out_pairs(
         if hit.mean() >= always:
             reasons[pair] = f"{OVERLAP}{100.0 * hit.mean():.4g} % of random states"
     return tuple(LeftOut(*pair, reasons[pair]) for pair in every if pair in reasons)
+
+
+def _left_out_by_srdf(srdf: ElementTree.Element, links: Sequence[str]) -> tuple[LeftOut, ...]:
+    """Return the pairs of links that an SRDF leaves out, as MoveIt reads it.
+
+    A link of disable_default_collisions is compared only where enable_collisions says so;
+    disable_collisions counts last.
+    """
+    listed = tuple(
+        LeftOut(
+            item.get("link1", ""),
+            item.get("link2", ""),
+            "SRDF: " + item.get("reason", "left out by the SRDF"),
+        )
+        for item in srdf.findall("disable_collisions")
+    )
+    off, enabled = default_off(srdf)
+    known = {frozenset((pair.first, pair.second)) for pair in listed}
+    return listed + tuple(
+        LeftOut(*pair, "SRDF: not compared by default")
+        for pair in combinations(links, 2)
+        if off & set(pair) and frozenset(pair) not in enabled | known
+    )
+
+
+def default_off(srdf: ElementTree.Element) -> tuple[set[str], set[frozenset[str]]]:
+    """Return the links that an SRDF compares with nothing by default, and the enabled pairs."""
+    off = {item.get("link", "") for item in srdf.findall("disable_default_collisions")}
+    pairs = srdf.findall("enable_collisions")
+    return off, {frozenset((item.get("link1", ""), item.get("link2", ""))) for item in pairs}
 
 
 def checked_pairs(

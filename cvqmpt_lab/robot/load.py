@@ -17,6 +17,7 @@ from cvqmpt_lab.base.codec import from_plain
 from cvqmpt_lab.base.errors import (
     InvalidInputError,
     UnknownChoiceError,
+    few,
     mapping,
     require_choice,
     shown,
@@ -25,6 +26,7 @@ from cvqmpt_lab.base.values import Array, FloatArray
 from cvqmpt_lab.robot.bodies import Prepared, prepare_bodies
 from cvqmpt_lab.robot.hulls import (
     checked_pairs,
+    default_off,
     hulls_of_meshes,
     left_out_pairs,
     link_geometry,
@@ -305,6 +307,7 @@ def _models(
     """
     root = one_coordinate_a_joint(urdf)
     bodies = prepare_bodies(root, urdf.path, given.visual_as_collision)
+    bodies = bodies._replace(notes=(*bodies.notes, *_without_uncompared(root, given.srdf)))
     meshes = find_collision_meshes(root, urdf.path, [Path(folder) for folder in given.package_dirs])
     digests = {path: content_digest(path) for path in meshes}
     hulls = hulls_of_meshes(root, digests)
@@ -344,6 +347,34 @@ def _models(
             if fixed.parentJoint == 0:
                 fixed.placement = base * fixed.placement
     return model, geometry, digests, bodies
+
+
+def _without_uncompared(root: ElementTree.Element, srdf: str) -> list[str]:
+    """Remove the bodies of links that an SRDF compares with nothing; return lines about them.
+
+    root: root element of the URDF; it is changed. srdf: path, or "".
+    """
+    if not srdf:
+        return []
+    off, enabled = default_off(srdf_root(Path(srdf)))
+    alone, partly = list[str](), list[str]()
+    for link in root.findall("link"):
+        name, bodies = link.get("name", ""), link.findall("collision")
+        if name not in off or not bodies:
+            continue
+        if any(name in pair for pair in enabled):
+            partly.append(name)
+            continue
+        alone.append(name)
+        for body in bodies:
+            link.remove(body)
+    lines = {
+        "compared with nothing, by the SRDF": alone,
+        "compared with obstacles and loads, and with other links only where the SRDF enables it": (
+            partly
+        ),
+    }
+    return [f"{what}: {few(names)}" for what, names in lines.items() if names]
 
 
 def numbers_of(robot: Robot, value: Any, where: str) -> Any:

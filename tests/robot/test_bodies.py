@@ -96,6 +96,28 @@ def test_a_flat_body_gets_a_thickness(edited):
     assert robot.notes == []
 
 
+def test_an_srdf_switches_the_comparison_of_links_off_and_on(edited, tmp_path):
+    """Only the enabled pair is left of the wrist, and the elbow's body is gone."""
+    srdf = tmp_path / "arm.srdf"
+    srdf.write_text(
+        '<robot name="slider_arm"><disable_default_collisions link="wrist"/>'
+        '<disable_default_collisions link="elbow"/>'
+        '<enable_collisions link1="wrist" link2="base"/>'
+        '<enable_collisions link1="wrist" link2="carriage"/>'
+        '<disable_collisions link1="wrist" link2="carriage" reason="Never"/></robot>'
+    )
+    robot = load_robot(edited(), "tool", srdf=srdf)
+    names = [piece.name.removesuffix("_0") for piece in robot.links]
+    pairs = {frozenset((names[i], names[k])) for i, k in robot.self_collision_pairs}
+    assert [pair for pair in pairs if "wrist" in pair] == [{"wrist", "base"}]
+    assert "elbow" not in names and {"shoulder", "tool"} in pairs
+    assert robot.notes == [
+        "compared with nothing, by the SRDF: elbow",
+        "compared with obstacles and loads, and with other links only where the SRDF enables it: "
+        "wrist",
+    ]
+
+
 def test_unknown_parts_of_links_are_named(edited):
     typo = (SPHERE, SPHERE + '</collision><colision name="a"></colision><collision>' + SPHERE)
     (note,) = load_robot(edited(typo), "tool").notes
