@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from small_arms import carried, gantry, problem_of
+from small_arms import carried, gantry, pendulum, problem_of
 
 from cvqmpt_lab.certificate.certificate import Verdict, certify
 from cvqmpt_lab.certificate.motion_check import dry_run
@@ -83,3 +83,77 @@ def test_a_hand_holds_only_what_a_region_keeps_at_it(tmp_path, play):
     assert found.valid == holds
     assert any("right_0 and plate" in text for text in found.reasons) == (not holds)
     assert ("1 also held by" in lines(problem, states)) == holds
+
+
+def turned(q):
+    """Quaternion (m, 4), scalar first with its own sign, of turns about z, y and x by q (m, 3)."""
+    half = 0.5 * np.atleast_2d(q).T
+    (a, b, c), (s, t, u) = np.cos(half), np.sin(half)
+    found = (
+        a * b * c + s * t * u,
+        a * b * u - s * t * c,
+        a * t * c + s * b * u,
+        s * b * c - a * t * u,
+    )
+    return np.array(found).T
+
+
+def beside_a_half_turn(cosine):
+    """A motion (2, 3) of 0.1 rad; the cosine of half the angle is least in its middle."""
+    rng, eye = np.random.default_rng(0), 1e-4 * np.eye(3)
+    for _ in range(3000):
+        q = rng.uniform(-2.5, 2.5, 3)
+        for _ in range(20):
+            gradient = (turned(q + eye)[:, 0] - turned(q - eye)[:, 0]) / 2e-4
+            q = q + gradient * (cosine - turned(q)[0, 0]) / (gradient @ gradient + 1e-12)
+        u, v = np.linalg.svd(gradient[None])[2][1:]
+        for angle in np.linspace(0.0, np.pi, 8):
+            along = 0.05 * (np.cos(angle) * u + np.sin(angle) * v)
+            ends = np.array([q - along, q + along])
+            if (np.abs(ends) < 2.8).all() and turned(ends)[:, 0].min() > cosine + 1.5e-4:
+                return ends
+    raise AssertionError("no such motion")
+
+
+@pytest.mark.parametrize("cosine", [-1e-4, 2e-3])
+def test_a_rotation_vector_that_changes_its_sign_between_states_leaves_bounds(tmp_path, cosine):
+    """Bounds of one sign: past a half turn the rotation has the opposite vector, far outside."""
+    ends = beside_a_half_turn(cosine)
+    first = turned(ends)[0] * np.pi
+    row = int(np.abs(first[1:]).argmax())
+    bounds = [[None, None] for _ in range(6)]
+    bounds[3 + row] = sorted((0.5 * first[1 + row], 1.1 * first[1 + row]))
+    region = {"T0_w": np.eye(4).tolist(), "Tw_e": np.eye(4).tolist(), "Bw": bounds}
+    problem = problem_of(tmp_path, pendulum(), ends, ("part_2",), constraint=[region])
+    found = certify(problem, JointPath(ends), clearance=False)
+    assert found.valid == (cosine > 0.0), found.reasons
+
+
+def test_what_is_tolerated_of_points_and_hand_holds_through_a_lever(tmp_path):
+    """A point 0.5 m away from the hand stays within 2 cm; the hand turns about any axis."""
+    states = straight((0.0, 0.0, 0.0), (0.001, 0.0, 0.0))
+    Tw_e = np.eye(4)
+    Tw_e[:3, 3] = (0.0, 0.0, -0.5)
+    bounds = [[-0.02, 0.02]] * 3 + [[None, None]] * 3
+    region = {"T0_w": np.eye(4).tolist(), "Tw_e": Tw_e.tolist(), "Bw": bounds}
+    region["T0_w"][2][3] = 0.5
+    problem = problem_of(tmp_path, pendulum(), states, ("part_2",), constraint=[region])
+    found = certify(problem, JointPath(states)).tolerated
+    assert 0.009 < found.points_m < 0.011 and 0.018 < found.hand_rad < 0.022
+    assert found.points_m + 0.5 * found.hand_rad <= 0.02
+
+
+def test_what_is_tolerated_of_a_chain_holds_for_both_hands(tmp_path):
+    """Both hands may be off by it, in opposite directions."""
+    states = straight((0.0, 0.0), (0.05, 0.05))
+    at = np.eye(4)
+    at[:3, 3] = (0.0, -1.0, 0.0)
+    bounds = [[-0.02, 0.02]] * 3 + [[-0.3, 0.3]] * 3
+    region = {"base": "left", "end_effector": "right", "T0_w": at.tolist()}
+    region |= {"Tw_e": np.eye(4).tolist(), "Bw": bounds}
+    problem = problem_of(tmp_path, gantry(), states, ("left", "right"), constraint=[region])
+    found = certify(problem, JointPath(states)).tolerated
+    between = 1.0  # [m] from hand to hand
+    assert found.points_m > 0.004 and 2.0 * found.points_m + between * found.hand_rad <= 0.02
+    assert 2.0 * found.hand_rad <= 0.3
+    assert 2.0 * found.joints <= 0.02

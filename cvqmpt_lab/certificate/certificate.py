@@ -75,7 +75,7 @@ class Deviation(NamedTuple):
 
     points_m: float  # of every point of the robot and of what it carries
     hand_rad: float  # rotation of the hand
-    joints: float  # of all joints at once; points and hand then keep the above [rad or m]
+    joints: float  # of all joints at once, without another deviation [rad or m]
 
     def __str__(self) -> str:
         """Return the deviation in words."""
@@ -219,23 +219,34 @@ def deviation_tolerated(
         deviation: of the motion from straight lines between states [m].
     """
     robot, regions = problem.robot, problem.constraint
-    turned, moved = least_slack(robot, regions, states, CHECK_SPACING_RAD)
     to_obstacles, to_itself = clearances
-    free = [moved]
+    free = [np.inf]
     if to_obstacles:
         free.append(to_obstacles.at_least_m)
     if to_itself:
         free.append(to_itself.at_least_m / 2)  # both pieces of the pair may move
-    points = max(min(free) - deviation, 0.0)
-    hand = max(turned - deviation, 0.0)
-    carried = reach_with(robot, problem.attachments) - robot.reach
+    points, hand = min(free), np.inf
+    # what all joints together may move and turn the frame of a region
+    moved, turned = points, hand
     arms = [float(np.linalg.norm(np.linalg.inv(region.Tw_e)[:3, 3])) for region in regions]
+    for region, arm in zip(regions, arms, strict=True):
+        radians, metres = least_slack(robot, (region,), states, CHECK_SPACING_RAD)
+        moved, turned = min(moved, metres), min(turned, radians)
+        # a region between links moves with both, and as far from either one as the arms reach
+        links = 2 if isinstance(region, TaskSpaceRegionChain) else 1
+        lever = arm if links == 1 else 2.0 * (robot.reach + arm)
+        share = 0.5 if lever > 0.0 else 1.0  # the other half is for what turns through the lever
+        points = min(points, share * metres / links)
+        hand = min(hand, radians / links, metres / (2.0 * lever) if lever > 0.0 else np.inf)
+    points, hand = max(points - deviation, 0.0), max(hand - deviation, 0.0)
+    moved, turned = max(moved - deviation, 0.0), max(turned - deviation, 0.0)
+    carried = reach_with(robot, problem.attachments) - robot.reach
     levers = robot.levers(max([carried, *arms]))
     if any(isinstance(region, TaskSpaceRegionChain) for region in regions):
         # such a region moves with a link, which turns, too; the hand is within 2 reaches of it
         levers = np.maximum(levers, 2.0 * robot.reach)
-    turn = max(robot.turn_rate, 1.0)
-    return Deviation(points, hand, float(min(points / levers.sum(), hand / turn)))
+    joints = min(moved / levers.sum(), turned / max(robot.turn_rate, 1.0))
+    return Deviation(float(points), float(hand), float(joints))
 
 
 def _place(states: np.ndarray, q: np.ndarray) -> float:

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from cvqmpt_lab.constraints.report import excess
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.robot.robot import Robot
 
@@ -19,7 +20,8 @@ def bound_between(
 
     On a motion with turns D = sum_j |dq_j|, no rotation entry of x exceeds the larger of its ends
     by more than ROTATION_BEND / 8 D^2 (or ROTATION_RATE / 2 D near angle pi, where its sign
-    changes), and no tilt by more than D^2 / 8 (see `_between_tilts`).
+    changes), and no tilt by more than D^2 / 8 (see `_between_tilts`). Where the sign may change and
+    rotation bounds are not symmetric, the ends count with both signs.
 
     Args:
         robot: the robot.
@@ -43,10 +45,27 @@ def bound_between(
     position = 0.25 * turn * (lever * turn + slide)
     turns = bool(((rows >= 3) & (rows < 6)).any())
     between = np.maximum(rotation * turns, position * bool((rows < 3).any()))
+    if flips.any() and (region.bounds[3:6, 0] != -region.bounds[3:6, 1]).any():
+        between = np.where(flips, np.maximum(between, rotation + _other_sign(region, x)), between)
     if 6 not in rows:
         return between, flips
     tilting, linear = _between_tilts(turn, x[:, 6])
     return np.maximum(between, tilting), linear | (flips & turns)
+
+
+def _other_sign(region: TaskSpaceRegion, x: np.ndarray) -> np.ndarray:
+    """How much further ends (m - 1,) are outside with the rotation vector's other sign [m, rad].
+
+    A rotation by pi has two vectors, v and -v; close to it, a motion has now one and now the other.
+
+    Args:
+        region: the region.
+        x: (m, 7), displacements [m, rad].
+    """
+    mirrored = x * np.repeat([1.0, -1.0, 1.0], [3, 3, 1])
+    given, other = excess(region, x).max(axis=1), excess(region, mirrored).max(axis=1)
+    further = np.maximum(other[:-1], other[1:]) - np.maximum(given[:-1], given[1:])
+    return further.clip(min=0.0)
 
 
 def _between_tilts(turn: np.ndarray, tilt: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
