@@ -71,7 +71,8 @@ ROBOT_DETAILS: Options = {  # for robots given by name or by file
         "file with pairs of links that are not checked for collision", type=Path, metavar="ARM.srdf"
     ),
     "--package-dir": option(
-        "folder of package:// meshes, in addition to ROS_PACKAGE_PATH; repeatable",
+        "folder of package:// meshes, before those of ROS_PACKAGE_PATH and AMENT_PREFIX_PATH; "
+        "repeatable",
         type=Path,
         metavar="DIR",
         **REPEATED,

@@ -1,5 +1,7 @@
 """Read and write files: writing replaces a file completely or not at all; errors name the path."""
 
+from __future__ import annotations
+
 import contextlib
 import csv
 import fcntl
@@ -10,9 +12,12 @@ import os
 import re
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from cvqmpt_lab.base.errors import InvalidInputError, shown
+
+if TYPE_CHECKING:
+    from xml.etree.ElementTree import Element
 
 
 @contextlib.contextmanager
@@ -118,6 +123,26 @@ def read_text(path: Path, what: str = "file") -> str:
         return read_bytes(path, what).decode("utf-8")
     except UnicodeDecodeError as error:
         raise InvalidInputError(f"{what} {path} is not UTF-8 text (byte {error.start})") from error
+
+
+def read_xml(path: Path, what: str = "file") -> Element:
+    """Return the root of an XML file as programs of ROS read it; errors name the path.
+
+    Names keep their prefixes, bound or not, and a default namespace has no effect. A byte order
+    mark or blanks may precede the declaration.
+    """
+    from xml.etree.ElementTree import TreeBuilder  # imported here: most runs read no such file
+    from xml.parsers import expat
+
+    builder, parser = TreeBuilder(), expat.ParserCreate()
+    parser.StartElementHandler = builder.start
+    parser.EndElementHandler = builder.end
+    parser.CharacterDataHandler = builder.data
+    try:
+        parser.Parse(read_text(path, what).lstrip("\ufeff \t\r\n"), True)
+        return builder.close()
+    except expat.ExpatError as error:
+        raise InvalidInputError(f"cannot read {what} {path}: {error}") from error
 
 
 def read_json_object(path: Path, what: str = "file") -> dict[str, Any]:

@@ -17,7 +17,7 @@ import pinocchio as pin
 
 from cvqmpt_lab.base.caches import cached_arrays, sources_digest
 from cvqmpt_lab.base.errors import InvalidInputError
-from cvqmpt_lab.base.files import read_text
+from cvqmpt_lab.base.files import read_xml
 from cvqmpt_lab.geometry.convex import (
     box_corners,
     polytope_around_ball,
@@ -328,10 +328,7 @@ def _touching(
 
 def srdf_root(path: Path) -> ElementTree.Element:
     """Read an SRDF file; InvalidInputError if it is malformed."""
-    try:
-        root = ElementTree.fromstring(read_text(path, "SRDF file"))
-    except ElementTree.ParseError as error:
-        raise InvalidInputError(f"cannot read SRDF file {path}: {error}") from error
+    root = read_xml(path, "SRDF file")
     if root.tag != "robot":
         raise InvalidInputError(f"SRDF file {path} has the root <{root.tag}>, not <robot>")
     return root

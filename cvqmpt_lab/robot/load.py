@@ -44,6 +44,7 @@ from cvqmpt_lab.robot.robot import (
     positive_per_joint,
 )
 from cvqmpt_lab.robot.source import (
+    PACKAGE_PATHS,
     PANDA_FINGER_OPENING_M,
     RobotSource,
     content_digest,
@@ -141,7 +142,7 @@ def robot_from_source(source: Mapping[str, Any]) -> Robot:
     except (TypeError, ValueError) as error:
         raise InvalidInputError(f"problem field 'robot' is malformed: {error}") from error
     # meshes are searched in these folders, too
-    packages = os.environ.get("ROS_PACKAGE_PATH", "")
+    packages = ":".join(os.environ.get(name, "") for name in PACKAGE_PATHS)
     robot = _cached_robot(arm, packages)
     if any(content_digest(path) != digest for path, digest in robot.files):
         _cached_robot.cache_clear()

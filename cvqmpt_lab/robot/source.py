@@ -2,11 +2,12 @@
 
 import hashlib
 import os
+import re
 import stat
 import sys
 import time
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
@@ -372,11 +373,15 @@ def find_collision_meshes(
     return found
 
 
+PACKAGE_PATHS = ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH")  # variables that list folders
+
+
 def mesh_path(name: str, urdf: Path, package_dirs: Sequence[Path] = ()) -> Path:
     """Return the file that a URDF or scene names by a path or by "package://PACKAGE/REST".
 
-    A package is searched in `package_dirs`, the folders of ROS_PACKAGE_PATH, the folders above
-    the URDF and the share folder of example-robot-data, in this order.
+    A package is a folder of this name, or one whose package.xml has it. It is searched in
+    `package_dirs`, the folders of ROS_PACKAGE_PATH, the folders share of AMENT_PREFIX_PATH, the
+    folders above the URDF and the share folder of example-robot-data, in this order.
 
     Args:
         name: path of the file, or "package://PACKAGE/REST".
@@ -393,17 +398,70 @@ def mesh_path(name: str, urdf: Path, package_dirs: Sequence[Path] = ()) -> Path:
             return path
         raise InvalidInputError(f"{urdf.name}: mesh {name!r} is not found: there is no file {path}")
     package, _, rest = name.removeprefix(scheme).partition("/")
-    ros_path = os.environ.get("ROS_PACKAGE_PATH", "")
-    ros_folders = [Path(name) for name in ros_path.split(os.pathsep) if name]
-    for folder in (*package_dirs, *ros_folders, *urdf.resolve().parents, _installed_share()):
-        # the folder holds the package, or is the package
-        if (folder / package / rest).is_file():
-            return folder / package / rest
-        if folder.name == package and (folder / rest).is_file():
+    paths = {variable: os.environ.get(variable, "") for variable in PACKAGE_PATHS}
+    there = []
+    for folder in _package_folders(package, urdf.resolve(), package_dirs, *paths.values()):
+        if (folder / rest).is_file():
             return folder / rest
-    given = ", ".join(str(folder) for folder in package_dirs) or "not given"
+        if folder.is_dir():
+            there.append(str(folder))
+    if there:
+        why = f"package {package} is {' and '.join(there)}, without {rest}"
+    else:
+        given = ", ".join(str(folder) for folder in package_dirs) or "not given"
+        places = ", ".join(f"{variable} ({path or 'not set'})" for variable, path in paths.items())
+        why = (
+            f"no folder is called {package}, or has a package.xml of that name, in these places: "
+            f"--package-dir ({given}), {places}, the folders above {urdf.resolve().parent}"
+        )
     raise InvalidInputError(
-        f"{urdf.name}: mesh {scheme}{package}/{rest} is in none of these places: --package-dir "
-        f"({given}), ROS_PACKAGE_PATH ({ros_path or 'not set'}), the folders "
-        f"above {urdf.resolve().parent}; give --package-dir DIR, the folder that holds {package}"
+        f"{urdf.name}: mesh {name} is not found: {why}; give --package-dir DIR, the folder of the "
+        "package, or one that holds it"
     )
+
+
+def _package_folders(
+    package: str, urdf: Path, package_dirs: Sequence[Path], ros_path: str, ament_path: str
+) -> Iterator[Path]:
+    """Yield folders that may be a package, in the order of `mesh_path`.
+
+    Args:
+        package: name of the package.
+        urdf: full path of the file that names it.
+        package_dirs: folders that hold packages, or are packages.
+        ros_path: value of ROS_PACKAGE_PATH.
+        ament_path: value of AMENT_PREFIX_PATH.
+    """
+
+    def called(folder: Path) -> Iterator[Path]:
+        yield folder / package
+        if folder.name == package:
+            yield folder
+
+    def stated(folder: Path, levels: Sequence[str] = ("", "*/", "*/*/")) -> Iterator[Path]:
+        # the folder of a clone may have another name than its package
+        for level in levels:
+            for manifest in sorted(folder.glob(f"{level}package.xml")):
+                if _package_name(manifest) == package:
+                    yield manifest.parent
+
+    ros = [Path(name) for name in ros_path.split(os.pathsep) if name]
+    ament = [Path(name, "share") for name in ament_path.split(os.pathsep) if name]
+    for folder in package_dirs:
+        yield from called(folder)
+        yield from stated(folder)
+    for folder in (*ros, *ament, *urdf.parents, _installed_share()):
+        yield from called(folder)
+    for folder in ros:
+        yield from stated(folder)
+    for folder in urdf.parents:
+        yield from stated(folder, [""])
+
+
+def _package_name(manifest: Path) -> str:
+    """Return the name in a package.xml of ROS; "" if it has none."""
+    try:
+        named = re.search(rb"<name>\s*([^<\s]+)\s*</name>", manifest.read_bytes()[: 2**16])
+    except OSError:
+        return ""
+    return named[1].decode(errors="replace") if named else ""

@@ -21,7 +21,7 @@ from cvqmpt_lab.base.errors import (
     shown,
     unique,
 )
-from cvqmpt_lab.base.files import read_text
+from cvqmpt_lab.base.files import read_xml
 from cvqmpt_lab.base.values import FULL_TURN_RAD, scalar
 from cvqmpt_lab.robot.robot import Follower, HeldJoint
 
@@ -109,10 +109,7 @@ class Urdf:
 
 def read_urdf(path: Path) -> Urdf:
     """Read a URDF file; InvalidInputError if it is malformed or its joints are not a tree."""
-    try:
-        root = ElementTree.fromstring(read_text(path, "URDF"))
-    except ElementTree.ParseError as error:
-        raise InvalidInputError(f"cannot read URDF {path}: {error}") from error
+    root = read_xml(path, "URDF")
     invalid = f"{path} does not contain a valid URDF"
     if root.tag != "robot":
         raise InvalidInputError(f"{invalid}: its root is <{root.tag}>, not <robot>")

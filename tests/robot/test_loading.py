@@ -229,12 +229,66 @@ def test_a_mesh_is_found_in_package_folders_and_in_ros_s(edited, tmp_path, monke
     (package / "ball.stl").write_bytes(binary_stl(CORNERS[:3], [[0, 0, 0], [1, 0, 0], [0, 0, 1]]))
     urdf = edited((SPHERE, '<mesh filename="package://shapes/ball.stl"/>'))
     monkeypatch.delenv("ROS_PACKAGE_PATH", raising=False)
-    places = r"--package-dir \(not given\), ROS_PACKAGE_PATH \(not set\), the folders"
-    refused(f"shapes/ball.stl is in none.*{places}", load_robot, urdf, "tool")
+    monkeypatch.delenv("AMENT_PREFIX_PATH", raising=False)
+    unset = r"ROS_PACKAGE_PATH \(not set\), AMENT_PREFIX_PATH \(not set\)"
+    told = (
+        rf"no folder is called shapes, .* --package-dir \(not given\), {unset}, the folders above"
+    )
+    refused(f"shapes/ball.stl is not found: {told}", load_robot, urdf, "tool")
     for folder in (package.parent, package):
         assert load_robot(urdf, "tool", package_dirs=(folder,)).dof == 4
     monkeypatch.setenv("ROS_PACKAGE_PATH", f"/nowhere:{package.parent}")
     assert load_robot(urdf, "tool").dof == 4
+    source = {"urdf": str(urdf), "end_effector": "tool"}
+    assert robot_from_source(source).dof == 4
+    monkeypatch.delenv("ROS_PACKAGE_PATH")
+    refused("no folder is called shapes", robot_from_source, source)
+    (package.parent / "share").mkdir()
+    package.rename(package.parent / "share" / "shapes")
+    monkeypatch.setenv("AMENT_PREFIX_PATH", f"/nowhere:{package.parent}")
+    assert robot_from_source(source).dof == 4
+
+
+def test_a_package_is_found_by_the_name_in_its_package_xml(edited, tmp_path, monkeypatch):
+    """Clones of a repository are often called otherwise than the package that they hold."""
+    for name in ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH"):
+        monkeypatch.delenv(name, raising=False)
+    package = tmp_path / "work" / "src" / "clone"
+    package.mkdir(parents=True)
+    (package / "package.xml").write_text("<package><name>shapes</name></package>")
+    (package / "ball.stl").write_bytes(binary_stl(CORNERS[:3], [[0, 0, 0], [1, 0, 0], [0, 0, 1]]))
+    mesh = '<mesh filename="package://shapes/ball.stl"/>'
+    urdf = edited((SPHERE, mesh))
+    refused("no folder is called shapes", load_robot, urdf, "tool")
+    for folder in (package, package.parent, package.parent.parent):
+        assert load_robot(urdf, "tool", package_dirs=(folder,)).dof == 4
+    monkeypatch.setenv("ROS_PACKAGE_PATH", str(package.parent.parent))
+    assert load_robot(urdf, "tool").dof == 4
+    monkeypatch.delenv("ROS_PACKAGE_PATH")
+    inside = edited((SPHERE, mesh), name="work/src/clone/arm.urdf")
+    assert load_robot(inside, "tool").dof == 4
+    (package / "ball.stl").rename(package / "other.stl")
+    told = "package shapes is .*/clone, without ball.stl; give --package-dir DIR"
+    refused(told, load_robot, inside, "tool")
+
+
+def test_xml_is_read_as_programs_of_ros_read_it(edited, slider_arm):
+    """A default namespace, prefixes that are not bound and blanks before the declaration."""
+    plain = '<robot name="slider_arm">'
+    more = "<gazebo:plugin gz:version='1'/><transmission/>"
+    for number, replacements in enumerate(
+        (
+            [(plain, f'<robot name="slider_arm" xmlns="http://example.org/urdf">{more}')],
+            [("<?xml", "\n  <?xml"), (plain, plain + more)],
+            [("<?xml", "\ufeff<?xml")],
+        )
+    ):
+        robot = load_robot(edited(*replacements, name=f"{number}.urdf"), "tool")
+        assert robot.joint_names == slider_arm.joint_names
+        assert robot.kinematics_digest == slider_arm.kinematics_digest
+    srdf = edited((plain, plain), name="arm.srdf")
+    srdf.write_text('\n<?xml version="1.0"?><robot name="a" xmlns="http://example.org/srdf"/>')
+    assert load_robot(edited(name="0.urdf"), "tool", srdf=srdf).dof == slider_arm.dof
 
 
 def test_options_given_with_the_name_of_an_arm_override_those_of_the_arm():
