@@ -1,5 +1,7 @@
 """Motions that no certificate may call valid: what is compared, at which sign, with which play."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from small_arms import carried, gantry, pendulum, problem_of
@@ -7,6 +9,7 @@ from small_arms import carried, gantry, pendulum, problem_of
 from cvqmpt_lab.certificate.certificate import Verdict, certify
 from cvqmpt_lab.certificate.motion_check import dry_run
 from cvqmpt_lab.certificate.record import record, report_lines
+from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.search.result import JointPath
 from cvqmpt_lab.search.space import ConstrainedSpace
 from cvqmpt_lab.trajectory.trajectory import Motion
@@ -157,3 +160,53 @@ def test_what_is_tolerated_of_a_chain_holds_for_both_hands(tmp_path):
     assert found.points_m > 0.004 and 2.0 * found.points_m + between * found.hand_rad <= 0.02
     assert 2.0 * found.hand_rad <= 0.3
     assert 2.0 * found.joints <= 0.02
+
+
+def cubic(jerk, ends=0.0, stated=True):
+    """Rest to rest along rails in four cubics of 0.25 s with accelerations that are continuous.
+
+    Args:
+        jerk: of the pieces, +, -, -, + [m/s^3].
+        ends: acceleration where it begins and ends [m/s^2].
+        stated: whether the file has accelerations.
+    """
+    t = 0.25
+    q, v, a = [0.0], [0.0], [ends]
+    for sign in (1.0, -1.0, -1.0, 1.0):
+        j = sign * jerk
+        q.append(q[-1] + v[-1] * t + a[-1] * t**2 / 2 + j * t**3 / 6)
+        v.append(v[-1] + a[-1] * t + j * t**2 / 2)
+        a.append(a[-1] + j * t)
+    rows = (np.outer(values, (1.0, 0.0)) for values in (q, v, a))
+    positions, velocities, accelerations = rows
+    times = t * np.arange(5.0)
+    return Motion(None, positions, times, velocities, accelerations if stated else None)
+
+
+@pytest.mark.parametrize(
+    ("jerk", "ends", "stated", "kinds"),
+    [
+        (4.0, 0.0, True, []),
+        (16.0, 0.0, True, ["jerk"]),
+        (16.0, 0.0, False, []),
+        (0.0, 0.0, True, []),
+    ],
+)
+def test_jerk_of_exact_cubics_is_judged(tmp_path, jerk, ends, stated, kinds):
+    """Stated accelerations can make each quintic a cubic, whose jerk is as large as any other."""
+    motion = cubic(jerk, ends, stated)
+    problem = problem_of(tmp_path, gantry(), motion.positions, ("left", "right"))
+    limited = {"acceleration_limits": 10.0, "jerk_limits": 8.0}
+    source = {**problem.robot.source, **limited}
+    problem = problem.changed(robot=robot_from_source(source))
+    found = dry_run(problem, motion)
+    assert [str(fault.kind) for fault in found.certificate.faults] == kinds
+    contents = record(problem, motion, found)
+    assert contents["jerk"].startswith("judged" if stated else "not judged: without accel")
+    said = "jerk        not judged" in "\n".join(report_lines(found, contents))
+    assert said == (not stated)
+    if stated and jerk:
+        jumps = replace(motion, accelerations=motion.accelerations.copy())
+        jumps.accelerations[[0, -1], 0] = 1.0
+        texts = dry_run(problem, jumps).certificate.reasons
+        assert sum("at once by 1 rad/s^2 where the motion" in text for text in texts) == 2

@@ -2,7 +2,8 @@
 
 Between its points a trajectory is the cubic through positions and velocities, as controllers
 interpolate. If accelerations are given, a controller may interpolate by the quintic through these,
-too: then both curves are checked. Jerk is that of the quintic: between cubics accelerations jump.
+too: then both curves are checked. Jerk is that of the quintic, also where it is a cubic; without
+accelerations it is not judged: between cubics they jump.
 """
 
 from __future__ import annotations
@@ -122,10 +123,13 @@ def dry_run(
             certificate = certify(problem, JointPath(states), checker, clearance)
         # the quintic has these accelerations at its points
         given = motion.accelerations if name == "cubic" else None
+        limits = robot.joint_limits
+        if name == "cubic":  # its accelerations jump between its pieces
+            limits = replace(limits, jerk=None)
         every = (
-            *_limit_faults(curve, given, robot.joint_limits, times),
+            *_limit_faults(curve, given, limits, times),
             *_effort_faults(problem, curve, times),
-            *_rest_faults(curve, robot.joint_limits, times),
+            *_rest_faults(curve, limits, times),
             *faults,
             *certificate.faults,
         )
@@ -244,7 +248,7 @@ def _limit_faults(
         (2, FaultKind.ACCELERATION, "rad/s^2", limits.acceleration),
         (3, FaultKind.JERK, "rad/s^3", limits.jerk),
     ):
-        if limit is None or (kind == FaultKind.JERK and not curve.c[:2].any()):
+        if limit is None:
             continue
         shares, rates = extremes(curve, order)
         if order == 2 and given is not None:
@@ -318,15 +322,23 @@ def _effort_faults(
 
 
 def _rest_faults(curve: PPoly, limits: JointLimits, times: np.ndarray) -> Iterator[Fault]:
-    """Find joints that do not rest where the motion begins or ends."""
-    rates = _rates(curve, 1)
-    last = len(times) - 1.0
-    for what, velocity, at in (("begins", rates[0, 0], 0.0), ("ends", rates[-1, -1], last)):
-        share = np.abs(velocity) / limits.velocity
-        joint = int(share.argmax())
-        if share[joint] > LIMIT_OVERSHOOT[FaultKind.VELOCITY]:
-            moves = f"{limits.joint_names[joint]} moves at {abs(velocity[joint]):.4g} rad/s"
-            yield Fault(FaultKind.VELOCITY, f"{moves} where the motion {what}", at)
+    """Find joints that do not rest where the motion begins or ends.
+
+    If jerk is limited, accelerations must be 0 there, too: they would jump.
+    """
+    rates = [(FaultKind.VELOCITY, "moves at", "rad/s", limits.velocity, _rates(curve, 1))]
+    if limits.jerk is not None:
+        accelerations = _rates(curve, 2)
+        words = "accelerates at once by"
+        rates += [(FaultKind.JERK, words, "rad/s^2", limits.acceleration, accelerations)]
+    for kind, words, unit, limit, values in rates:
+        last = len(times) - 1.0
+        for what, value, at in (("begins", values[0, 0], 0.0), ("ends", values[-1, -1], last)):
+            share = np.abs(value) / limit
+            joint = int(share.argmax())
+            if share[joint] > LIMIT_OVERSHOOT[FaultKind.VELOCITY]:
+                does = f"{limits.joint_names[joint]} {words} {abs(value[joint]):.4g} {unit}"
+                yield Fault(kind, f"{does} where the motion {what}", at)
 
 
 def _start_fault(

@@ -82,6 +82,7 @@ def record(problem: PlanningProblem, motion: Motion, found: DryRun) -> dict[str,
         "faults": faults,
         "apart_m": found.deviation_m,
         "curve": found.curve,
+        "jerk": _jerk(problem, motion),
         **finite(numbers),
         "tolerances": {
             "constraint": CERTIFICATE_TOLERANCE,
@@ -93,6 +94,17 @@ def record(problem: PlanningProblem, motion: Motion, found: DryRun) -> dict[str,
         },
         "compared": _compared(problem),
     }
+
+
+def _jerk(problem: PlanningProblem, motion: Motion) -> str | None:
+    """Return whether jerk is judged, and why not; None for a path, which has no times."""
+    if motion.times is None:
+        return None
+    if "jerk" not in problem.robot.limits:
+        return "not judged: the robot has no jerk limits"
+    if motion.accelerations is None:
+        return "not judged: without accelerations in the file they jump between its points"
+    return "judged"
 
 
 def _fields(value: Clearance | Deviation | None) -> dict[str, Any] | None:
@@ -138,6 +150,7 @@ def report_lines(found: DryRun, contents: dict[str, Any]) -> list[str]:
         apart = bound_text(1e3 * found.deviation_m, up=True)
         curve = f"; straight pieces within {apart} mm of the curve"
     compared, tolerances = contents["compared"], contents["tolerances"]
+    jerk = contents["jerk"] or ""
     near = compared["obstacles"] - len(compared["out_of_reach"])
     reasons = Counter(pair["reason"] for pair in compared["left_out"])
     left = ", ".join(f"{count} {reason}" for reason, count in reasons.most_common())
@@ -148,6 +161,7 @@ def report_lines(found: DryRun, contents: dict[str, Any]) -> list[str]:
         f"{CERTIFICATE_TOLERANCE:g} is allowed",
         *(f"clearance   {distance}" for distance in distances),
         *([f"tolerates   {certificate.tolerated}"] if certificate.tolerated else []),
+        *([f"jerk        {jerk}"] if "accelerations" in jerk else []),
         f"resolution  {proven}, with {certificate.states_checked} checks{curve}",
         f"compared    {compared['moving_pieces']} moving and {compared['carried_pieces']} carried "
         f"pieces: {compared['own_pairs']} pairs with each other; each of them with the "

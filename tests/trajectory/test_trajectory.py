@@ -126,8 +126,9 @@ def test_jerk_limits_shape_the_motion_and_are_judged(solutions, tmp_path):
     written = read_motion(tmp_path / "motion.json")
     assert dry_run(problem, written).certificate.valid
     written.accelerations[0] = 0.3 * limits.acceleration
-    (fault,) = dry_run(problem, written).certificate.faults
+    fault, jump = dry_run(problem, written).certificate.faults
     assert fault.kind is FaultKind.JERK and "rad/s^3, its jerk limit is" in fault.text
+    assert jump.kind is FaultKind.JERK and "at once by" in jump.text and jump.at == 0.0
 
 
 def test_another_arm_has_its_urdfs_velocities_and_is_given_accelerations(slider_arm_urdf):
