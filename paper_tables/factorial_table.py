@@ -57,23 +57,25 @@ SEEING: Mapping[str, object] = {"predictor": "transformer"}
 SEEING_DECODED, SEEING_WIDE = {**SEEING, **DECODED}, {**SEEING, **WIDE}
 SAME: Mapping[str, object] = {"uniform_share": 0.15}
 FACTORIAL_NOTES = (
-    f"Work ({WORK}), projections, length and G: over those of {REFERENCE}, "
+    f"Work ({WORK}), projections, length and G are ratios to {REFERENCE}: "
     "geometric mean of the ratio over problems that both solved, bootstrap interval [95 %]. "
-    "Solved: certified, Wilson interval.",
-    "G = F(q)^T F(q): mean over 256 fixed draws of what is sampled, inside the joint limits, "
+    "Solved: certified paths, Wilson interval.",
+    "G = F(q)^T F(q): mean over 256 fixed samples of the distribution, inside the joint limits, "
     "before projection.",
-    "Time: median with failures as infinite; encoding the cloud is in it, goal inverse "
-    "kinematics is not.",
-    "Work counts the projections of means, not the gradient of Algorithm 2 (F and its Jacobian "
-    "at 16 draws a code and step, five steps, and F at 64 more), which is in the time.",
-    "Contrasts: the first over the second, all else equal; every product that both sides have is "
-    "paired by problem and seed, and a problem counts once. Intervals are not corrected for "
-    "their number. Wide and decoded are compared at 15 % uniform samples. Runs that one side "
-    "failed are left out, which flatters the side that fails more.",
-    "The transformer also chooses the three goals that Gaussians lie around; random "
-    "codes have the nearest. The oracle's work includes the path without constraint that its "
-    "codes are of.",
-    "By name: "
+    "Time: median, failures count as infinite; with encoding of the cloud, without goal inverse "
+    "kinematics.",
+    "Work counts the projections of means. It does not count the gradient of Algorithm 2 (F and "
+    "its Jacobian at 16 samples per code and step, in five steps, and F at 64 more samples), "
+    "which is part of the time.",
+    "Contrasts: ratio of the first choice to the second, with all other choices equal. All "
+    "products that both sides have are paired by problem and seed, and each problem counts once. "
+    "Intervals are not corrected for their number. Wide and decoded are compared with 15 % "
+    "uniform samples. Runs that one side failed are left out, which is an advantage of the side "
+    "that fails more.",
+    "The transformer also chooses the three goals that get a Gaussian; with random codes these are "
+    "the nearest goals. The oracle's work includes the search of the unconstrained path from which "
+    "its codes are read.",
+    "Planners with a name: "
     + "; ".join(
         f"{name} is {', '.join(f'{value}' for value in asdict(choice).values())}"
         for name, choice in NAMED_SAMPLERS.items()

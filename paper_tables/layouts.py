@@ -61,9 +61,9 @@ EFFORT_COLUMNS = {
     "path_length_raw_median": Column("raw length [rad]", "rad", median_of("raw_length", "joint")),
     "projections_median": Column("projections", "1", median_of("projections")),
     "newton_iterations_median": Column("Newton iterations", "1", median_of("newton_iterations")),
-    "newton_steps_median": Column("steps a projection", "1", median_of("newton_steps", "stated")),
+    "newton_steps_median": Column("steps per projection", "1", median_of("newton_steps", "stated")),
     "newton_steps_ratio": Column(
-        f"steps a projection / {REFERENCE}", "1", ratio_to(REFERENCE, VALUES["newton_steps"])
+        f"steps per projection / {REFERENCE}", "1", ratio_to(REFERENCE, VALUES["newton_steps"])
     ),
     "state_checks_median": Column("state checks", "1", median_of("state_checks")),
     "work_median": Column("work", "1", median_of("work")),
@@ -73,17 +73,19 @@ EFFORT_COLUMNS = {
     "time_ratio": Column(f"time / {BASELINE}", "1", ratio_to(BASELINE, VALUES["time"])),
     "fallbacks": Column("by fallback [%]", "%", share_of(lambda row: row.fallback is not None)),
 }
-GROWN_COLUMNS = {  # only where rows say how trees grew
+GROWN_COLUMNS = {  # only for rows with numbers of extensions
     "extensions_median": Column("extension ends", "1", median_of("extensions", "solved")),
     "extensions_mean": Column("extension ends, mean", "1", mean_of("extensions", "solved")),
     "draw_newton_steps_median": Column(
-        "Newton steps a draw", "1", median_of("draw_newton_steps", "stated")
+        "Newton steps per sample", "1", median_of("draw_newton_steps", "stated")
     ),
     "draw_newton_steps_ratio": Column(
-        f"Newton steps a draw / {REFERENCE}", "1", ratio_to(REFERENCE, VALUES["draw_newton_steps"])
+        f"Newton steps per sample / {REFERENCE}",
+        "1",
+        ratio_to(REFERENCE, VALUES["draw_newton_steps"]),
     ),
 }
-ROLLOUT_COLUMNS = {  # only where a planner joins states of rollouts
+ROLLOUT_COLUMNS = {  # only for planners that connect states of rollouts
     "rollouts_alone": Column(
         "by rollouts alone [%]", "%", share_of(partial(_detail_begins, ROLLOUTS_ALONE))
     )
@@ -113,56 +115,60 @@ PLACE_COLUMNS: Mapping[str, Column] = {
     **SPLIT_COLUMNS,
     **CURVE_COLUMNS,
 }
-PLACE_HEADLINES: Mapping[str, Mapping[str, str]] = {  # the paper's metrics, and our columns
+# our columns by title, for each metric of the paper
+PLACE_HEADLINES: Mapping[str, Mapping[str, str]] = {
     "accuracy": {"ours": "accuracy"},
     **{
         metric: {"ours, median": f"{metric}_median", "ours, mean": f"{metric}_mean"}
         for metric in ("time", "vertices", "path_length")
     },
 }
-FIRST_COLUMNS = {  # titles of the first table, and columns
+FIRST_COLUMNS = {  # columns of the first table by title
     "solved [%]": "accuracy",
     "time [s]": "time_median",
     "work": "work_median",
     "length [rad]": "path_length_median",
 }
 METHOD_NOTES = (
-    "Ours: estimate [95 % interval]; round brackets mark the whole range: too few runs for 95 %.",
-    "Accuracy: certified paths / runs, Wilson interval; a path that fails its certificate is a "
-    "failure.",
-    "Time: total wall time, goal inverse kinematics and networks included, making point clouds "
-    "not. Median over all runs with failures counted as infinite, order-statistic interval; the "
-    "mean, because the paper gives means, leaves failures out (bootstrap interval).",
+    "Ours: estimate [95 % interval]; in round brackets the range of all runs, if these are too few "
+    "for an interval.",
+    "Accuracy: number of certified paths / number of runs, Wilson interval; a path that fails its "
+    "certificate is a failure.",
+    "Time: total wall-clock time with goal inverse kinematics and networks, without the generation "
+    "of point clouds. The median is over all runs, with failures counted as infinite "
+    "(order-statistic interval). The mean, which is shown because the paper gives means, leaves "
+    "failures out (bootstrap interval).",
     "Vertices: median and mean over solved runs. Path length: final path, Euclidean in joint "
-    "space; raw length: before simplification; both over the jointly solved runs.",
+    "space; raw length: path before simplification; both over the jointly solved runs.",
     "Projections, Newton iterations, state checks: medians over all runs with failures counted "
-    f"as infinite; work is {WORK}. Clearances: "
-    "states whose clearance was read from a distance field; rows that did not count them have "
-    "none. Time, scene known: without goal "
-    "inverse kinematics and without encoding the scene's cloud; scene new: with encoding it, "
-    "where rows are of runs that did. Making the checker's obstacles and distance grid, as all "
-    "planners need, and a roadmap for a robot that had none is in nobody's time. atlas-rrt and "
-    "tb-rrt project inside OMPL's charts, where Newton iterations are counted and projections "
-    "are not: their work is too low, and steps a projection (of all runs) left out.",
+    f"as infinite; work is {WORK}. Clearances: number of states whose clearance was read from a "
+    "distance field; older rows do not have it. Time, scene known: without goal inverse kinematics "
+    "and without encoding the scene's cloud; scene new: with this encoding, over the runs that "
+    "encoded a cloud. Times of no planner contain the construction of the checker's obstacles and "
+    "distance grid, which all planners need, and of a robot's first roadmap. atlas-rrt and tb-rrt "
+    "project inside OMPL's charts, where Newton iterations are counted but projections are not: "
+    "their work is too low, and their steps per projection are left out.",
     f"Time / {BASELINE}: geometric mean of the ratio over problems solved by both, bootstrap "
     "interval.",
-    "By fallback: runs whose path did not come the way the planner's name promises; they count "
-    "as its own.",
-    f"At the paper's cost: {1e3 * STATE_CHECK_COST:g} ms a state check (PyBullet, see bench "
-    f"paper-check), {1e3 * RESIDUAL_COST:g} ms a projection and {1e3 * NEWTON_STEP_COST:g} ms a "
-    "Newton step (the published constraint in Python, see docs/judgement.md), networks as measured "
-    "here, goals and simplification left out. Median with failures as infinite; ratios as above.",
-    "Easy and hard: hard are runs of problems in the top third by the work of "
-    f"{REFERENCE} with uniform samples, median over its other seeds. Ratios are "
-    "geometric means over problems that both solved, bootstrap intervals; time includes goal "
-    "inverse kinematics, which is the same for all.",
+    "By fallback: runs whose path was found by another method than the named planner; they count "
+    "as runs of the named planner.",
+    f"At the paper's cost: {1e3 * STATE_CHECK_COST:g} ms per state check (PyBullet, see bench "
+    f"paper-check), {1e3 * RESIDUAL_COST:g} ms per projection and {1e3 * NEWTON_STEP_COST:g} ms "
+    "per Newton step (the published constraint in Python, see docs/judgement.md); networks as "
+    "measured here; goals and simplification are left out. Medians count failures as infinite; "
+    "ratios are as above.",
+    "Easy and hard: a run is hard if its problem is in the top third by the work of "
+    f"{REFERENCE} with uniform samples (median over its other seeds). Ratios are geometric means "
+    "over problems that both planners solved, with bootstrap intervals; time includes goal inverse "
+    "kinematics, which is the same for all.",
 )
 GROWN_NOTE = (
-    "Extension ends: ends of extensions in all trees, which is what OMPL stores; roots left out. "
-    "Vertices of our search are all states along extensions. Over solved runs in which a tree "
-    "grew. Newton steps a draw: Algorithm 1 on draws, before trees extend towards them."
+    "Extension ends: number of extensions in all trees, whose ends are the states that OMPL "
+    "stores, without roots, over solved runs in which a tree grew. Vertices of our search are all "
+    "states along extensions. Newton steps per sample: steps of Algorithm 1 on samples, before "
+    "trees extend towards them."
 )
-SENSED_COLUMNS: Mapping[str, Column] = {  # only of scanned scenes
+SENSED_COLUMNS: Mapping[str, Column] = {  # only for scanned scenes
     "certified_in_map": Column("certified in the map [%]", "%", share_of(solved)),
     "free_in_truth": Column(
         "of these free in truth [%]", "%", share_of(lambda row: row.true_free is True, solved)
@@ -174,13 +180,13 @@ SENSED_COLUMNS: Mapping[str, Column] = {  # only of scanned scenes
     "whole_median": Column("images to certificate [s]", "s", median_of("whole_time", "stated")),
 }
 SENSED_NOTES = (
-    "Planners know the map alone. Certified in the map: as elsewhere; free in truth: a second "
-    "certificate, in the scene that was scanned, Wilson interval over the paths certified in the "
-    "map.",
-    "Images to map: reading depth images, intrinsics and extrinsics, removing the robot, "
-    "outliers, and the rest. Images to certificate: everything until the path is certified in "
-    "the map, everything counted. Medians.",
-    "The paper's scenes, starts and goals are not published: its numbers are of other problems, "
+    "Planners get only the map. Certified in the map: certificate as in other tables. Free in "
+    "truth: certificate in the true scene, with Wilson interval over the paths that are certified "
+    "in the map.",
+    "Images to map: time for reading depth images, intrinsics and extrinsics, and for making a "
+    "map without robot and outliers. Images to certificate: time from images to the certificate in "
+    "the map. Both are medians.",
+    "The paper's scenes, starts and goals are not published: its numbers are for other problems, "
     "on a real robot.",
 )
 
@@ -222,10 +228,10 @@ def place_table(
         "In the map and in truth": table.column_lines(found, SENSED_COLUMNS) if sensed else [],
         **papers,
         "Effort (medians)": table.column_lines(found, EFFORT_COLUMNS),
-        "Vertices as OMPL counts them, and projections of draws": (
+        "Vertices as OMPL counts them, and projections of samples": (
             table.column_lines(found, GROWN_COLUMNS) if grown else []
         ),
-        "Solved by rollouts alone, no tree grown between their states": (
+        "Solved by rollouts alone, without trees between their states": (
             table.column_lines(rollouts, ("accuracy", *ROLLOUT_COLUMNS)) if rollouts else []
         ),
         "At the paper's cost of work": table.column_lines(found, PAPER_COST_COLUMNS),
@@ -250,7 +256,7 @@ def place_table(
 
 
 def _first_lines(found: Sequence[Entry], columns: Mapping[str, str]) -> Lines:
-    """Return lines of estimates, and of the work over that of uniform samples."""
+    """Return lines of estimates, and of the work relative to uniform samples."""
     ratio = split_metric("work_ratio", "all")
     lines = [["planner", *columns, f"work / {REFERENCE}"]]
     for item in found:
@@ -286,15 +292,15 @@ def _footnotes(runs: SuiteRuns) -> Iterator[str]:
     )
     silent = sorted(name for name in runs.groups if name not in runs.solving)
     if silent:
-        yield f"Solved nothing, so left out of the jointly solved set: {', '.join(silent)}."
+        yield f"Left out of the jointly solved set, since nothing was solved: {', '.join(silent)}."
     if len({frozenset(row.problem for row in rows) for rows in runs.groups.values()}) > 1:
-        yield "The planners did not all run the same problems: their columns do not compare."
+        yield "The planners did not all run the same problems, so their columns cannot be compared."
     yield from table.seed_notes(runs)
     if len({row.seed for row in runs.rows if row.planner == REFERENCE}) == 1:
         yield (
-            f"One seed of {REFERENCE}: a problem on which it was unlucky counts as hard, so every "
-            "other planner's ratios look better on hard problems, and worse on easy ones, than "
-            "several seeds would show."
+            f"There is one seed of {REFERENCE}: a problem on which this run was unlucky counts as "
+            "hard. So the ratios of every other planner are better on hard problems, and worse on "
+            "easy ones, than with several seeds."
         )
 
 
@@ -331,16 +337,17 @@ GROUP_COLUMNS: Mapping[str, Column] = {
     "placed": Column("placed", "1", number_of(VALUES["placed"]), cell=THREE_DIGITS),
 }
 RATIO_COLUMNS = ("solved", "work_ratio", "own_time_ratio", "length_ratio")
-COLUMN_NOTES = {  # what is put in place of {NAME} in notes
+COLUMN_NOTES = {  # texts that replace {NAME} in notes
     "ratios": (
-        "Solved: certified, Wilson interval. Ratios to uniform samples: geometric mean over "
-        f"problems that both solved, bootstrap interval; work is {WORK}, time is without "
-        "goal inverse kinematics."
+        "Solved: certified paths, Wilson interval. Ratios to uniform samples: geometric mean over "
+        f"problems that both solved, bootstrap interval; work is {WORK}; time is without goal "
+        "inverse kinematics."
     ),
     "medians": (
-        "Solved: certified, Wilson intervals. Time and work: medians with failures as infinite. "
-        "Time is by the clock, with goal inverse kinematics; a run has one thread, so that it is "
-        f"processor time with --jobs 1 on an idle machine. Work is {WORK}."
+        "Solved: certified paths, Wilson intervals. Time and work: medians, failures count as "
+        "infinite. Time is wall-clock time with goal inverse kinematics; a run has one thread, so "
+        "that this is equal to processor time with --jobs 1 on an idle machine. "
+        f"Work is {WORK}."
     ),
 }
 
@@ -359,10 +366,10 @@ def group_table(
     Args:
         rows: rows of one suite; a problem's name holds its group, see `split_problem`.
         published: the paper's numbers; the paper has none of groups.
-        what: a group, in the singular.
-        notes: on the problems, then on the columns (in the caption, too), and others; names of
-            `COLUMN_NOTES` in braces are replaced.
-        columns: names of columns; ratios are within the group.
+        what: word for a group, in the singular.
+        notes: the first is about the problems, the second about the columns (it is also in the
+            caption); names of `COLUMN_NOTES` in braces are replaced.
+        columns: names of columns; ratios compare runs of the same group.
         known: columns by name.
     """
     runs = table.suite_runs(rows)
@@ -402,19 +409,20 @@ PEER_COLUMNS: Mapping[str, Column] = {
 }
 PEER_NOTES = (
     "Estimate [95 % interval]. Every planner has one thread, the same convex pieces of the "
-    "robot, the same obstacles and pairs of pieces, its own collision checker; what it loads for "
-    "a robot and a scene is loaded before.",
-    "Path found: returned in time. Certified: as it was returned, it also keeps constraint, limits "
-    "and obstacles between its states; Wilson intervals.",
-    "Time: wall clock around the whole call, with shortening, ours or theirs, without certificate. "
-    "Median with runs that are not certified as infinite, order-statistic interval.",
+    "robot, the same obstacles and the same pairs of pieces, but its own collision checker. Models "
+    "of robot and scene are loaded before the measurement.",
+    "Path found: a path was returned in time. Certified: the returned path also satisfies "
+    "constraint, limits and clearance between its states. Wilson intervals.",
+    "Time: wall-clock time of the whole call, with shortening by the planner or by this package, "
+    "without certificate. Median with order-statistic interval; runs without a certified path "
+    "count as infinite.",
     f"Ratios to {REFERENCE}: geometric mean over problems that both solved, paired by problem and "
-    "seed, bootstrap interval. Length: of certified paths, Euclidean in joint space.",
-    "What favours ours: roboplan and sscbirrt bound roll, pitch and yaw, and get a box of nine "
-    "tenths of what fits into the problem's bounds at any roll; HPP keeps the hand upright "
-    "exactly; its time holds its random shortcuts, as sscbirrt's holds its smoothing; roboplan "
-    "has no shortening that knows constraints. roboplan and sscbirrt check states 0.05 rad "
-    "apart, as they are set up by their makers; their refused paths collide.",
+    "seed, bootstrap interval. Length: Euclidean length of certified paths in joint space.",
+    "Advantages of our planners: roboplan and sscbirrt bound roll, pitch and yaw, and get a box of "
+    "nine tenths of the largest one that fits into the problem's bounds at any roll; HPP keeps the "
+    "hand exactly upright; the time of HPP contains its random shortcuts, and that of sscbirrt its "
+    "smoothing; roboplan has no shortening that respects constraints. roboplan and sscbirrt check "
+    "states 0.05 rad apart, their default; their refused paths collide.",
 )
 
 
@@ -427,11 +435,13 @@ def peer_table(
     found = table.entries(runs, PEER_COLUMNS)
     external = (row for row in runs.rows if row.vertices is None and row.sampler_used)
     made = sorted({f"{row.planner}: {row.sampler_used}" for row in external})
-    said = (*PEER_NOTES, *notes)
+    all_notes = (*PEER_NOTES, *notes)
     sections: Sections = {
         size: table.column_lines(found, PEER_COLUMNS),
         "Failures": table.count_lines(found, table.failure),
-        "Notes": [*said, *made, *table.seed_notes(runs)],
+        "Notes": [*all_notes, *made, *table.seed_notes(runs)],
     }
-    latex = table.latex_planners(" ".join(said), suite, found, {k: {"": k} for k in PEER_COLUMNS})
+    latex = table.latex_planners(
+        " ".join(all_notes), suite, found, {k: {"": k} for k in PEER_COLUMNS}
+    )
     return SuiteTable(suite, size, found, sections, latex)

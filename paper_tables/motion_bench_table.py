@@ -29,20 +29,21 @@ LEFT_OUT: Mapping[str, str] = {
     FailReason.NO_GOAL: "no level hand at the goal",
 }
 BENCH_NOTES = (
-    "Problems of others: MotionBenchMaker, 700 each of a Panda, a UR5 with a gripper and a Fetch, "
-    "from the source archive of vamp-planner 0.6.4 (Apache-2.0), with its descriptions of the "
-    "robots. Start and goal are single configurations.",
+    "Problems of others: MotionBenchMaker, 700 each for a Panda, a UR5 with a gripper and a Fetch, "
+    "from the source archive of vamp-planner 0.6.4 (Apache-2.0), with the robots of that archive. "
+    "Start and goal are single configurations.",
     "{ratios}",
-    "Left out: problems whose start or goal collides in our model, and, with a level hand, those "
-    "in which no level hand was found where theirs is. `cvqmpt problems list` names them. All "
-    "other numbers are of the rest.",
-    "By how hard a problem is: `roadmap` over `birrt` where both solved, by the work of `birrt` in "
-    "the same run. It had luck where it did little, so that the first lines flatter it, and the "
-    "last disfavour it.",
-    "Published numbers are not comparable: VAMP covers robots by spheres, checks states of a "
-    "motion some way apart on vector units, and its time is that of the search alone; ours checks "
-    "meshes' hulls, and every path is shortened and proven free between its states. cuRobo is an "
-    "optimiser on a graphics card. Neither has constraints here, and processors differ.",
+    "Left out: problems whose start or goal collides in our model; in the upright suite also "
+    "problems for which no level hand was found at the given position. `cvqmpt problems list` "
+    "names them. All other numbers are for the remaining problems.",
+    "By difficulty: ratio of `roadmap` to `birrt` on problems that both solved, in classes by the "
+    "work of `birrt` in the same run. This selection favours `birrt` in the first lines, where it "
+    "was lucky, and disfavours it in the last lines.",
+    "Published numbers are not comparable. VAMP encloses robots in spheres, checks separate "
+    "states of a motion on vector units, and reports the time of the search only; our planners "
+    "check convex hulls of meshes, and every path is shortened and proven free between its "
+    "states. cuRobo is an optimiser on a graphics card. Neither has constraints here, and "
+    "processors differ.",
 )
 
 WORK_CLASSES = (0.0, 500.0, 2_000.0, 8_000.0, 30_000.0, math.inf)  # bounds of the work of `birrt`
@@ -69,7 +70,7 @@ def class_lines(rows: Rows) -> Lines:
 def motion_bench_table(
     rows: Iterable[ResultRow], published: Sequence[PublishedValue]
 ) -> SuiteTable:
-    """A line for each robot and planner; what was left out, and published numbers."""
+    """Return a line for each robot and planner, problems left out, and published numbers."""
     ordered = rows_of_one_suite(rows)
     problems: dict[str, dict[str, str]] = defaultdict(dict)  # robot -> problem -> why left out
     for row in ordered:

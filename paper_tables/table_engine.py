@@ -32,12 +32,12 @@ from cvqmpt_lab.results.statistics import Interval, jointly_solved
 
 @dataclass(frozen=True)
 class Column:
-    """A number of a planner."""
+    """A column of a table: a statistic of a planner's rows."""
 
     label: str
     unit: str
     measure: Measure
-    published: str | None = None  # the paper's metric that it answers (the paper gives means)
+    published: str | None = None  # name of the same metric in the paper, which gives means
     cell: Callable[[Interval], str] = estimate
 
 
@@ -51,7 +51,7 @@ class Entry:
     measured: Mapping[str, Interval]  # by name of the column
     published: Mapping[str, PublishedValue]  # the paper's numbers, by its metric
     group: tuple[str, ...]  # cells that name the group
-    suffix: str  # of its metrics in csv
+    suffix: str  # suffix of the names of its metrics in csv
 
     @property
     def paper_name(self) -> str | None:
@@ -82,7 +82,7 @@ class SuiteTable:
     """The table of the rows of one suite in all its forms."""
 
     suite: str
-    size: str  # how much was run, as in "20 problems"
+    size: str  # size of the suite, e.g. "20 problems"
     found: Sequence[Entry]  # in the order of the csv
     sections: Sections
     latex: str
@@ -214,12 +214,12 @@ def seed_notes(runs: SuiteRuns) -> Iterable[str]:
     most = max(seeds.values())
     if most > 1:
         yield (
-            "Several seeds: a problem counts once in every number and interval, with its median, "
-            "its mean or its share over seeds; ratios pair runs by problem and seed."
+            "There are several seeds: each problem counts once in every number and interval, with "
+            "its median, mean or fraction over seeds; ratios pair runs by problem and seed."
         )
     fewer = [f"{name} {count}" for name, count in seeds.items() if count < most]
     if fewer:
-        yield f"Seeds, where they are fewer than {most}: {', '.join(fewer)}."
+        yield f"Planners with fewer than {most} seeds: {', '.join(fewer)}."
 
 
 # ---------------------------------------------------------------- from numbers to lines
@@ -277,7 +277,7 @@ def count_lines(
 
     message_of: message and detail of a row; None: the row is not counted.
     """
-    lines = [["planner", "what", "for example", "runs"]]
+    lines = [["planner", "reason", "example", "runs"]]
     for item in found:
         examples = grouped([pair for row in item.rows if (pair := message_of(row))])
         for what, same in sorted(examples.items(), key=lambda x: (-len(x[1]), x[0])):
@@ -292,7 +292,7 @@ def latex_planners(
     """Return LaTeX in the paper's layout, with planners as columns.
 
     Args:
-        caption: of the table.
+        caption: caption of the table.
         suite: label of the table.
         found: entries of the planners.
         metrics: the paper's metrics, each with our columns by title.

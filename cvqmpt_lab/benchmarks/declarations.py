@@ -232,8 +232,8 @@ def _place_suites() -> list[Suite]:
             table=_table(
                 "layouts:peer_table",
                 notes=(
-                    "Extension length of roboplan, validation and shortcuts of HPP were chosen on "
-                    "problems that are not in this table.",
+                    "Roboplan's extension length, and HPP's validation and shortcuts, were chosen "
+                    "on problems that are not in this table.",
                 ),
             ),
         ),
@@ -314,17 +314,18 @@ def _scene_suites() -> list[Suite]:
                 "layouts:group_table",
                 what="constraint",
                 notes=(
-                    "No constraint was seen in training. Scenes are held out; all planners get the "
-                    "same start and goals.",
+                    "Weights were trained without constraints and without these scenes. All "
+                    "planners get the same start and goals.",
                     "{ratios}",
-                    "Upright: the hand's yaw and place are free. Fixed orientation: its place. "
-                    "Plane, line: its origin stays there, it turns freely. Arc: it turns with a "
-                    "crank. Tray: level within 0.02 rad, with a tray. Pouring: a can in the hand "
-                    "is tipped about one axis. Door: the shelf's door hangs on its hinge and in "
-                    "the hand. Each of its doors makes another robot, whose dictionary's roadmap "
-                    "(`roadmap-cvq`) is made in 0.2 s before the clock starts.",
-                    "Whether a problem has a solution is not known: an arm without obstacles gets "
-                    "to a goal by a short search.",
+                    "Upright: yaw and position of the hand are free. Fixed orientation: only the "
+                    "position is free. Plane, line: the origin of the hand stays on it, its "
+                    "orientation is free. Arc: the hand turns a crank. Tray: a tray in the hand is "
+                    "level within 0.02 rad. Pouring: a can in the hand is tilted about one axis. "
+                    "Door: the hand holds the handle of the shelf's door. Each door is a joint of "
+                    "another robot, whose dictionary's roadmap (`roadmap-cvq`) is made in 0.2 s "
+                    "before the clock starts.",
+                    "It is not known whether each problem has a solution: only without obstacles a "
+                    "short search reaches a goal.",
                 ),
             ),
         ),
@@ -349,12 +350,12 @@ def _scene_suites() -> list[Suite]:
                 "layouts:group_table",
                 what="passage",
                 notes=(
-                    "A Panda. Maze: a pen on a plane goes through three corridors of that width. "
-                    "Cage: an upright hand goes into a cage of bars with one gap of that width. "
-                    "Slot: an upright hand reaches through a slot of that width in a wall. No "
-                    "tuning has seen these problems.",
+                    "The robot is a Panda. Maze: a pen on a plane moves through three corridors of "
+                    "the given width. Cage: an upright hand moves into a cage of bars with one gap "
+                    "of the given width. Slot: an upright hand reaches through a slot of the given "
+                    "width in a wall. These problems were not used for tuning.",
                     "{medians}",
-                    "Whether a problem has a solution is not known where no planner finds one.",
+                    "It is not known whether problems that no planner solves have a solution.",
                 ),
                 columns=(
                     *("solved", "solved_within_1_s", "solved_within_2_s"),
@@ -430,9 +431,9 @@ def _scene_suites() -> list[Suite]:
                 what="group",
                 notes=(
                     "Problems 0 to 59 of the place task (kitchen), and of the seven held-out "
-                    "families in turn, without their constraint. opt-cvq-mpt is left out: "
-                    "Algorithm 2 has nothing to move codes to. cvq-mpt tries one goal after the "
-                    "other; birrt and birrt-printed search towards all at once.",
+                    "families in turn, without their constraint. opt-cvq-mpt is left out, because "
+                    "Algorithm 2 needs a constraint. cvq-mpt tries one goal after the other; birrt "
+                    "and birrt-printed search for all goals at once.",
                     "{ratios}",
                 ),
             ),
@@ -453,15 +454,17 @@ def _executed_suite() -> Suite:
             what="kind",
             notes=(
                 "50 motions of the place task with the can, and ten multi-sequence tasks. Each is "
-                "planned once for a speed, a share of the joint limits, with a margin, and "
-                "executed by the controllers computed-torque and, load unknown, "
-                "computed-torque-unknown-load.",
-                "Executed: as planned at two contact times. Undecided: the contact times disagree. "
-                "Off path: median distance of the hand from its planned path; most: the largest "
-                "one. Tilt: largest angle that has a bound. Contacts: executions in which bodies "
-                "touch, but for those at grasp and place. At limits: most time in which a motor "
-                "gives its whole effort. Drift: most motion of a task's load in the hand. Placed: "
-                "the load stands where it should. Of two contact times the worse number counts.",
+                "planned once with a margin, for a speed that is a fraction of the joint limits. "
+                "It is executed by the controller computed-torque, which knows the load, and by "
+                "computed-torque-unknown-load, which does not.",
+                "Executed: execution as planned with two contact times of the simulator. "
+                "Undecided: the two contact times give different results. Off path: median "
+                "distance of the hand from its planned path; most: largest distance. Tilt: "
+                "largest absolute value of a rotation that the constraint bounds. Contacts: "
+                "executions in which bodies touch, except at grasp and placing. At limits: "
+                "longest time in which a motor is at its effort limit. Drift: largest motion of a "
+                "task's load in the hand. Placed: the load is at its goal in the end. The worse "
+                "number of the two contact times counts.",
             ),
             columns=(
                 *("executed", "undecided", "off_path_median", "off_path_most", "tilt_most"),
@@ -495,17 +498,19 @@ def _two_arm_suites() -> list[Suite]:
                 what="group",
                 notes=(
                     "A group is a robot with two arms of 7 joints and a kind of problem. The grasp "
-                    "is fixed: the second hand keeps its pose in the first one's frame, a closed "
-                    "chain. What is carried leans by at most 0.1 rad, and may touch both hands and "
-                    "nothing else. Starts and goals are by inverse kinematics of both hands.",
+                    "is fixed: the second hand keeps its pose in the frame of the first hand, so "
+                    "that the arms form a closed chain. The load is tilted by at most 0.1 rad, and "
+                    "may touch only the hands. Starts and goals are found by inverse kinematics of "
+                    "both hands.",
                     "{ratios}",
                     "Time: total wall time, with goal inverse kinematics; median with failures as "
                     "infinite.",
-                    "`roadmap` makes no roadmap of closed chains: trees and cells in turns. "
-                    "ompl-projected ran on the trays over a table of baxter alone, where its runs "
-                    "that fail take most of the time. Learned samplers are left out: weights are "
-                    "for one arm. Whether a problem has a solution is not known: both ends lie on "
-                    "the chain, perhaps in parts of it that are not connected.",
+                    "For closed chains `roadmap` makes no roadmap; trees and cells search in "
+                    "turns. ompl-projected ran only on trays over a table with baxter, where its "
+                    "failed runs take most of the time. Learned samplers are left out, because "
+                    "weights are for one arm. It is not known whether each problem has a "
+                    "solution: start and goal may be in disconnected parts of the closed chain's "
+                    "configurations.",
                 ),
                 columns=(
                     *("time_median", "solved", "work_ratio", "own_time_ratio", "length_ratio"),
@@ -521,9 +526,9 @@ def _two_arm_suites() -> list[Suite]:
             table=_table(
                 "layouts:peer_table",
                 notes=(
-                    "What favours ours: HPP keeps the tray level exactly, where the problem allows "
-                    "0.1 rad; its time holds its random shortcuts, which take what is left of the "
-                    "cut-off where they go on finding shorter ways.",
+                    "Advantages of our planners: HPP keeps the tray exactly level, but the problem "
+                    "allows 0.1 rad; the time of HPP contains its random shortcuts, which use the "
+                    "whole time limit as long as they find shorter paths.",
                     "Ten trays over a table and ten through a window, both arms of a baxter, 14 "
                     "joints. HPP was set up on problems that are not in this table.",
                 ),
