@@ -1,9 +1,12 @@
 """Joints that mimic a planned joint: their bodies move with it in every part of the package."""
 
 import logging
+import re
+from itertools import pairwise
 
 import numpy as np
 import pytest
+from random_arms import random_urdf
 from refusals import refused
 
 from cvqmpt_lab.certificate.certificate import FaultKind, certify
@@ -13,8 +16,10 @@ from cvqmpt_lab.constraints.bounds_between import bound_between
 from cvqmpt_lab.constraints.region_constraint import RegionConstraint
 from cvqmpt_lab.constraints.report import displacements
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
+from cvqmpt_lab.execution.mjcf import mjcf_of
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.dynamics import Dynamics
+from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.load import load_robot
 from cvqmpt_lab.robot.robot import Follower
 from cvqmpt_lab.scene.scene import Scene, SceneObject, pose
@@ -29,6 +34,7 @@ MIMICS = (
     '<mimic joint="bar"/>',
     CHAIN,
 )
+WALL = Scene("wall", (SceneObject("wall", Box((0.1, 3.0, 3.0)), pose((0.5, 0.0, 0.0))),))
 FOLLOWERS = {"stage": (0.5, 0.02), "rod": (1.0, 0.0), "tip": (-0.8, 0.1)}
 
 
@@ -244,3 +250,78 @@ def test_wrong_mimics_are_refused_by_name(load):
     refused(
         "'tip' mimics nobody; hold them: --lock tip=0", load, machine(tip='<mimic joint="nobody"/>')
     )
+
+
+def mimicked(text, rng):
+    """A random arm in which about a third of the joints mimic earlier ones; and what follows what.
+
+    Limits are wide, so that those of followers narrow none.
+    """
+    text = re.sub(r'lower="[^"]*" upper="[^"]*"', 'lower="-1.5" upper="1.5"', text)
+    leaders, rules = [], {}
+    for name in re.findall(r'<joint name="(\w+)" type="(?:revolute|continuous|prismatic)"', text):
+        if not leaders or rng.random() < 0.6:
+            leaders.append(name)
+            continue
+        rules[name] = str(rng.choice([*leaders, *rules])), rng.uniform(-0.9, 0.9), 0.1
+        leader, multiplier, offset = rules[name]
+        tag = f'<mimic joint="{leader}" multiplier="{multiplier}" offset="{offset}"/>'
+        text = re.sub(rf'(<joint name="{name}".*?)(</joint>)', rf"\1{tag}\2", text)
+    return text, rules
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_random_followers_move_as_joints_of_their_own(seed, tmp_path):
+    """Poses, Jacobian, bounds and certificate against the same arm without <mimic>."""
+    rng = np.random.default_rng(seed)
+    text, rules = mimicked(random_urdf(seed).decode(), rng)
+    path, plain = tmp_path / "arm.urdf", tmp_path / "plain.urdf"
+    path.write_text(text)
+    plain.write_text(re.sub("<mimic[^>]*>", "", text))
+    robot = load_robot(path, "tool")
+    leaves = ["tool", *re.findall(r'<link name="(side\d+)"', text)]
+    free = load_robot(plain, leaves)
+
+    def own(q):
+        """Configurations (k, m) of the arm without followers; joints off its chain are at 0."""
+        values = {name: np.zeros(len(q)) for name in free.joint_names}
+        values |= dict(zip(robot.joint_names, q.T, strict=True))
+        for name, (leader, multiplier, offset) in rules.items():
+            values[name] = multiplier * values[leader] + offset
+        return np.transpose([values[name] for name in free.joint_names])
+
+    q = drawn(robot, 10, seed)
+    for frame in robot.frame_names:
+        np.testing.assert_allclose(robot.poses(q, frame), free.poses(own(q), frame), atol=1e-12)
+    region = TaskSpaceRegion(robot.pose(q[0]), np.eye(4), np.full((6, 2), (-0.3, 0.3)))
+    exact, truth = (CollisionChecker(arm, WALL) for arm in (robot, free))
+    for a, b in pairwise(q):
+        states = a + np.linspace(0.0, 0.2, 60)[:, None] * (b - a)
+        x = displacements(robot, region, states)
+        most, _ = bound_between(robot, region, states[[0, -1]], x[[0, -1]])
+        # near the angle pi the rotation vector changes its sign
+        rows = slice(0, 6 if np.linalg.norm(x[:, 3:6], axis=1).max() < 3.0 else 3)
+        ends = np.abs(x[[0, -1], rows]).max(axis=0)
+        assert (np.abs(x[:, rows]) - ends).max() <= most[0] + 1e-9
+        clear, _ = exact.clear_of_obstacles(a[None], states[None, [0, -1]], np.zeros(1, dtype=int))
+        if clear[0] == exact.links:
+            pairs = [truth.colliding_pair(row) for row in own(states)]
+            assert not any(pair and pair.second == "wall" for pair in pairs)
+
+
+def test_mujoco_places_followers_as_kinematics_does(robot):
+    mujoco = pytest.importorskip("mujoco")
+    model = mujoco.MjModel.from_xml_string(mjcf_of(robot, Scene("empty", ())))
+    data = mujoco.MjData(model)
+    q = drawn(robot, 1)
+    for name, value in zip(robot.moving_joints, robot.kinematics.joint_values(q)[0], strict=True):
+        data.qpos[model.joint(name).qposadr[0]] = value
+    mujoco.mj_forward(model, data)
+    _, translations = link_poses(robot.kinematics, q)
+    for j in range(len(robot.moving_joints)):
+        place = data.body(f"link_{j + 1}").xpos
+        np.testing.assert_allclose(place, translations[0, j + 1], atol=1e-9)
+    # three equations, which these values satisfy
+    assert model.neq == 3
+    equations = data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY
+    np.testing.assert_allclose(data.efc_pos[equations], 0.0, atol=1e-12)
