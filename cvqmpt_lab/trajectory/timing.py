@@ -105,11 +105,19 @@ def _trajectory(
 
     Without jerk limits the window is 0.25 ms, which makes the accelerations continuous.
     """
+    # s(t) of the fastest motion
+    speeds, steps = np.sqrt(squared), np.diff(curve.grid)
+    times = np.concatenate([[0.0], np.cumsum(2.0 * steps / (speeds[1:] + speeds[:-1]))])
+    fastest = PPoly([np.diff(squared) / (4.0 * steps), speeds[:-1], curve.grid[:-1]], times)
     window = 0.00025 if limits.jerk is None else 0.004
-    motion = _averaged(curve, squared, limits, dynamics, window)
-    while limits.jerk is not None:
+    # `_average` needs steps above 0.01 windows; those of tiny motions are shorter
+    longest = float(np.diff(times).max())
+    if longest <= 0.01 * window:
+        window = 50.0 * longest
+    motion = _averaged(curve, fastest, limits, dynamics, window)
+    while limits.jerk is not None and longest > 0.02 * window:
         window *= 2.0
-        other = _averaged(curve, squared, limits, dynamics, window)
+        other = _averaged(curve, fastest, limits, dynamics, window)
         if other.duration >= motion.duration:
             break
         motion = other
@@ -118,17 +126,13 @@ def _trajectory(
 
 def _averaged(
     curve: SmoothCurve,
-    squared: np.ndarray,
+    fastest: PPoly,
     limits: JointLimits,
     dynamics: Dynamics | None,
     window: float,
 ) -> Trajectory:
-    """The motion averaged over a window [s], slowed down until it keeps the limits."""
-    # s(t) of the fastest motion
-    speeds, steps = np.sqrt(squared), np.diff(curve.grid)
-    times = np.concatenate([[0.0], np.cumsum(2.0 * steps / (speeds[1:] + speeds[:-1]))])
-    pieces = [np.diff(squared) / (4.0 * steps), speeds[:-1], curve.grid[:-1]]
-    average = _average(PPoly(pieces, times), window)
+    """The fastest motion s(t) averaged over a window [s], slowed down until it keeps the limits."""
+    average = _average(fastest, window)
     # times at the knots, where the third derivative of the curve jumps, by Newton's method; it
     # starts from linear interpolation
     knots = np.unique(curve.spline.t)[1:-1]

@@ -339,3 +339,18 @@ def test_without_efforts_timing_is_as_before(solution):
         for dynamics in (None, solution.problem.dynamics)
     ]
     assert durations[1] == pytest.approx(durations[0], rel=1e-3)
+
+
+@pytest.mark.parametrize("amount", [2e-8, 1e-7, 1e-6])
+def test_tiny_motions_are_timed_within_the_limits(panda, amount):
+    """Their moments lie closer together than windows of averaging tell apart: NaN, a traceback."""
+    limits = panda.joint_limits
+    start = 0.5 * (panda.lower + panda.upper)
+    for speed in (0.1, 1.0):
+        settings = TimingSettings(speed=speed)
+        motion = time_path(np.array([start, start + amount * np.eye(7)[0]]), limits, settings)
+        assert 1e-4 < motion.duration < 0.01 and (np.diff(motion.times) > 0.0).all()
+        np.testing.assert_allclose(motion.positions[-1] - start, amount * np.eye(7)[0], atol=1e-15)
+        allowed = limits.scaled(speed)
+        for order, limit in ((1, allowed.velocity), (2, allowed.acceleration), (3, allowed.jerk)):
+            assert (np.abs(extremes(motion.curve, order)[1]) <= 1.01 * limit).all()
