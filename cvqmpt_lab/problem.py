@@ -48,13 +48,14 @@ from cvqmpt_lab.constraints.report import bounds_text, broken_bound, displacemen
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegionChain
 from cvqmpt_lab.robot.dynamics import Dynamics
 from cvqmpt_lab.robot.load import State, numbers_of, robot_from_source
-from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.robot.robot import Robot, nearest_turn
 from cvqmpt_lab.scene.coal_shapes import loads_of
 from cvqmpt_lab.scene.scene import (
     Attachment,
     NamedScene,
     Scene,
     check_extent,
+    log,
     refuse_far_poses,
 )
 from cvqmpt_lab.scene.scene_files import with_files_read
@@ -200,6 +201,9 @@ class PlanningProblem(Document):
                     f"{self.name}: {what} has shape {array.shape}, robot {self.robot.name} needs "
                     f"{shape}"
                 )
+        object.__setattr__(self, "start", self._within_limits("start", self.start))
+        goals = self._within_limits("goals", self.goals, self.start)
+        object.__setattr__(self, "goals", goals)
         for label, q in self.labelled_configurations():
             outside = self.robot.joint_outside_limits(q)
             if outside is not None:
@@ -210,6 +214,44 @@ class PlanningProblem(Document):
                     f"{self.name}: {label} is outside the limits: {outside[0]} by "
                     f"{outside[1]:.4g}; {cure}"
                 )
+
+    def _within_limits(
+        self,
+        what: str,
+        states: FloatArray,
+        near: FloatArray | None = None,
+        rounding: float = 1e-6,
+        largest: float = 100.0,
+    ) -> FloatArray:
+        """Return states with readings of endless joints and rounded limits moved into the limits.
+
+        Args:
+            what: noun for the states in the warning.
+            states: (..., n) [rad or m].
+            near: (n,), endless joints are turned to within half a turn of it [rad]; None: they are
+                turned only if they are outside the limits.
+            rounding: joints that are up to this outside a limit are moved to it [rad or m]; the
+                certificate allows as much at the ends of a path.
+            largest: larger values of endless joints are left as they are: degrees? [rad]
+        """
+        robot, moved = self.robot, states
+        if robot.endless.any():
+            outside = (states < robot.lower) | (states > robot.upper)
+            wrapped = robot.endless & outside & (np.abs(states) <= largest)
+            moved = np.where(wrapped, nearest_turn(states, 0.0), states)
+            if wrapped.any():
+                at = tuple(np.argwhere(wrapped)[0])
+                log.warning(
+                    f"{self.name}: {what}: joint {robot.joint_names[at[-1]]} turns without end; "
+                    f"{states[at]:g} rad are taken as {moved[at]:.4g} rad (degrees? Give radians)"
+                )
+            if near is not None:
+                turned = nearest_turn(moved, near)
+                fits = (turned >= robot.lower) & (turned <= robot.upper)
+                moved = np.where(robot.endless & fits, turned, moved)
+        inside = np.clip(moved, robot.lower, robot.upper)
+        moved = np.where(np.abs(moved - inside) <= rounding, inside, moved)
+        return states if np.array_equal(moved, states) else frozen(moved)
 
     def _drawn_start(self) -> FloatArray:
         """Draw the start (n,) in the start region and constraint; always the same one."""

@@ -299,10 +299,12 @@ def _unusable(
 def _end_faults(problem: PlanningProblem, path: JointPath) -> list[Fault]:
     """Find faults at the start and at the end of a path."""
     faults = []
-    if np.abs(path.states[0] - problem.start).max() > END_TOLERANCE_RAD:
+    apart = problem.robot.differences
+    if np.abs(apart(path.states[0], problem.start)).max() > END_TOLERANCE_RAD:
         faults.append(Fault(FaultKind.START, "does not begin at the start", 0.0))
     end = path.states[-1]
-    at_goal = np.abs(problem.goals - end).max(axis=1).min(initial=np.inf) <= END_TOLERANCE_RAD
+    off = np.abs(apart(problem.goals, end)).max(axis=1)
+    at_goal = off.min(initial=np.inf) <= END_TOLERANCE_RAD
     if not at_goal and problem.goal_region is not None:
         region = (problem.goal_region,)
         at_end = largest_violation(

@@ -350,7 +350,7 @@ def _start_fault(
             f"current configuration of {len(current)} values: give {len(first)} finite numbers, "
             f"one each for {', '.join(problem.robot.joint_names)}"
         )
-    off = np.abs(first - current)
+    off = np.abs(problem.robot.differences(first, current))
     if off.max() <= tolerance:
         return []
     name = problem.robot.joint_names[int(off.argmax())]

@@ -231,6 +231,7 @@ def _built(source: Mapping[str, Any], free: Sequence[str] = ()) -> Robot:
         remarks=bodies.notes,
         limits={"effort": plausible, **limits},
         files=tuple({**read, **meshes}.items()),
+        continuous=tuple(name for name in names if urdf.joints[name].kind == "continuous"),
     )
     if robot.reach > MAX_REACH_M:
         far = [

@@ -192,6 +192,8 @@ class Robot:
     # (n,) each, by the field's name in `JointLimits`; unknown ones and velocity are left out
     limits: Mapping[str, np.ndarray] = field(default_factory=dict)
     files: tuple[tuple[str, str], ...] = ()  # path and sha256 of each source file
+    # planned joints that the URDF calls continuous: configurations a whole turn apart are equal
+    continuous: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         # problems share robots
@@ -252,6 +254,16 @@ class Robot:
         """(n,) bool: planned hinges whose whole turns change no pose: no other joint follows."""
         k = self.kinematics
         return frozen(~k.prismatic[k.order[: self.dof]] & (np.bincount(k.entry) == 1))
+
+    @cached_property
+    def endless(self) -> np.ndarray:
+        """(n,) bool: continuous joints that turn freely."""
+        return frozen(self.turns_freely & np.isin(self.joint_names, self.continuous))
+
+    def differences(self, states: np.ndarray, other: np.ndarray) -> np.ndarray:
+        """Return states (..., n) - other (n,), of endless joints at most half a turn [rad or m]."""
+        apart: np.ndarray = states - other
+        return np.where(self.endless, nearest_turn(apart, 0.0), apart)
 
     @cached_property
     def turning(self) -> np.ndarray:
