@@ -148,6 +148,37 @@ def test_a_scene_out_of_reach_is_suspected(problem, caplog):
         assert ("m: the nearest, 'shelf', is" in caplog.text) == told
 
 
+@pytest.mark.parametrize(
+    ("constraint", "pose_of"),
+    [
+        (
+            {"upright": {"tilt": 0.0, "axis": "-z"}},
+            {"xyz": [0.5, -0.2, 0.4], "rpy": [3.1416, 0, 0]},
+        ),
+        (
+            {"fixed-orientation": {"tolerance": 0, "rpy": [3.141592653589793, 0, 0]}},
+            {"xyz": [0.5, -0.2, 0.4], "rpy": [3.1416, 0, 0]},
+        ),
+        (
+            {"plane": {"normal": [0.6, 0, 0.8], "point": [0.5, 0, 0.4]}},
+            {"xyz": [0.43333, -0.2, 0.45], "rpy": [3.14, 0, 0]},
+        ),
+    ],
+)
+def test_a_pose_with_rounded_numbers_keeps_an_exact_bound(problem, constraint, pose_of):
+    """Pose and bound differ by 2e-6 to 1e-5; larger differences are refused with the amount."""
+    plain = problem.to_dict()
+    data = {key: plain[key] for key in ("schema", "name", "robot")}
+    data |= {"constraint": constraint, "scene": {"name": "empty", "objects": []}}
+    data |= {"start_region": {"pose": {"at": pose_of}}, "goal_region": {"pose": {"at": pose_of}}}
+    found = PlanningProblem.from_dict(data)
+    assert np.linalg.norm(found.manifold.residual(found.start)) <= 1e-4
+    np.testing.assert_allclose(found.robot.pose(found.start)[:3, 3], pose_of["xyz"], atol=1e-4)
+    apart = {**pose_of, "rpy": [3.1426, 0, 0], "xyz": np.add(pose_of["xyz"], [0, 0, 1e-3]).tolist()}
+    told = "no start in 'start_region': .* in collision; .*every pose breaks .* by 0.00"
+    refused(told, PlanningProblem.from_dict, data | {"start_region": {"pose": {"at": apart}}})
+
+
 def test_points_far_from_a_near_frame_are_suspected_and_then_refused(problem, caplog):
     """Frames at the robot's base; a cloud and a mesh 12 m away, of a wrong frame, were certified.
 

@@ -75,6 +75,7 @@ def solve_poses(
     guesses: np.ndarray,
     within: Sequence[TaskSpaceRegion] = (),
     anywhere: bool = False,
+    tolerance: float = POSE_TOLERANCE,
 ) -> list[np.ndarray]:
     """Solve inverse kinematics inside the joint limits by Newton's method.
 
@@ -85,6 +86,7 @@ def solve_poses(
         guesses: (k, a, n) seeds of Newton's method [rad or m]; overwritten.
         within: regions that hold at the same time.
         anywhere: whether to project onto the region instead of reaching the poses.
+        tolerance: largest norm of F [m, rad].
 
     Returns:
         k arrays (at most a, n) of configurations [rad or m].
@@ -101,7 +103,7 @@ def solve_poses(
         np.ascontiguousarray(poses[:, :3, :3]),
         np.ascontiguousarray(poses[:, :3, 3]),
         guesses,
-        POSE_TOLERANCE,
+        tolerance,
         POSE_STEPS,
         projection_scratch(robot.kinematics, regions),
         reached,
@@ -187,6 +189,7 @@ def sample_region(
     within: Sequence[TaskSpaceRegion] = (),
     near: np.ndarray | None = None,
     project: bool = False,
+    tolerance: float = POSE_TOLERANCE,
 ) -> GoalSample:
     """Draw collision-free configurations with the end effector in a region, one per pose.
 
@@ -202,6 +205,7 @@ def sample_region(
         near: configuration (n,) around which seeds are drawn [rad or m]; None: uniform seeds.
         project: whether to project onto the region instead of reaching poses drawn in it; always
             done if the hand `has_fewer_than_6_dof`.
+        tolerance: largest norm of F of the pose and the regions [m, rad].
     """
     anywhere = project or has_fewer_than_6_dof(robot, region)
     found: list[np.ndarray] = []
@@ -214,7 +218,9 @@ def sample_region(
         for candidates in (
             one
             for part in few
-            for one in solve_poses(robot, region, poses[part], guesses[part], within, anywhere)
+            for one in solve_poses(
+                robot, region, poses[part], guesses[part], within, anywhere, tolerance
+            )
         ):
             tried += 1
             free = next((q for q in candidates if not checker.in_collision(q)), None)
@@ -230,11 +236,19 @@ def sample_region(
 
 
 def find_in_region(*args: Any, **options: Any) -> GoalSample:
-    """Call `sample_region`, and again with projection onto the region if no pose was reached."""
+    """Call `sample_region`, and again with projection onto the region if no pose was reached.
+
+    Where exact bounds and rounded numbers of a pose contradict each other by less than the
+    tolerance of projections, configurations between the two are found at last.
+    """
     found = sample_region(*args, **options)
     if len(found.configurations):
         return found
-    return sample_region(*args, **{**options, "project": True})
+    found = sample_region(*args, **{**options, "project": True})
+    if len(found.configurations) or not options.get("within"):
+        return found
+    close = sample_region(*args, **{**options, "tolerance": PROJECTION_TOLERANCE})
+    return close if len(close.configurations) else found
 
 
 def sample_goals(

@@ -14,7 +14,12 @@ from cvqmpt_lab.constraints.goals import (
     has_fewer_than_6_dof,
     solve_poses,
 )
-from cvqmpt_lab.constraints.project import PROJECTION_STEPS, project, projection_scratch
+from cvqmpt_lab.constraints.project import (
+    PROJECTION_STEPS,
+    PROJECTION_TOLERANCE,
+    project,
+    projection_scratch,
+)
 from cvqmpt_lab.constraints.region_constraint import RegionConstraint
 from cvqmpt_lab.constraints.report import broken_bound, displaced, displacements
 from cvqmpt_lab.constraints.task_space_region import FREE, TaskSpaceRegion, TaskSpaceRegionChain
@@ -57,7 +62,21 @@ def why_none(
             broken = broken_bound(member, displaced(member, T, member.T0_w[None]))
             reasons += [f"every pose breaks {broken}"] if broken else []
     reasons.append(_collisions(checker, np.concatenate(found)))
-    return "; ".join(filter(None, reasons)) or contradiction(robot, constraint)
+    said = "; ".join(filter(None, reasons)) or contradiction(robot, constraint)
+    return said or _apart(robot, (region, *constraint), rng)
+
+
+def _apart(robot: Robot, members: Sequence[TaskSpaceRegion], rng: np.random.Generator) -> str:
+    """Return the smallest residual of all members at once, as text."""
+    ends = first_guesses(robot, rng, POSES_AT_ONCE)
+    T = np.broadcast_to(members[0].T0_w, (len(ends), 4, 4))
+    solve_poses(robot, members[0], T, ends, members[1:])
+    states = ends.reshape(-1, robot.dof)
+    off = np.linalg.norm(RegionConstraint(robot, tuple(members)).residual(states), axis=1)
+    return (
+        f"pose and constraint are {off.min():.2g} rad or m apart at best, at most "
+        f"{PROJECTION_TOLERANCE:g} is allowed"
+    )
 
 
 def _open_chain(
