@@ -26,7 +26,7 @@ from cvqmpt_lab.tasks.solve import solve_task
 from cvqmpt_lab.tasks.task import Task
 from cvqmpt_lab.trajectory.timing import TimingSettings
 
-Execute = Callable[[str, float], Execution]  # of a controller and a contact time [s]
+Execute = Callable[[str, float], Execution]  # arguments: controller, contact time [s]
 
 
 def execution_rows(run: Run, item: ExecutedProblem) -> list[ResultRow]:

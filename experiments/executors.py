@@ -57,7 +57,7 @@ class Executor:
                 task, attempt = waiting.popleft()
                 try:
                     running[self.submit(function, task)] = task, attempt
-                # what pebble and Dask raise of an executor that has stopped
+                # exceptions of pebble and Dask for an executor that has stopped
                 except RuntimeError as error:
                     raise CvqmptError(STOPPED) from error
             for future in wait(running, return_when=FIRST_COMPLETED).done:

@@ -21,7 +21,7 @@ from cvqmpt_lab.search.space import BACKENDS
 from cvqmpt_lab.vqmpt.sampler_choice import PREFIX
 from cvqmpt_lab.vqmpt.weights import SHIPPED, resolve_model, weights_digest
 
-# what is committed, three hours on two cores, and a little of it, 1 to 3 minutes
+# full: the committed results, three hours on two cores; small: a part of them, 1 to 3 minutes
 PROFILES = ("full", "small")
 
 
@@ -167,9 +167,9 @@ def externals_of(planners: Iterable[str]) -> dict[str, str]:
 class Part(NamedTuple):
     """An experiment of a profile."""
 
-    folder: str  # of its results
+    folder: str  # folder of its results
     experiment: Experiment
-    command: list[str]  # that runs it alone, without --out and --jobs
+    command: list[str]  # command that runs only this suite, without --out and --jobs
 
 
 def planners_of(suite: Suite) -> tuple[str, ...]:

@@ -103,7 +103,7 @@ def failed_rows(run: Run, item: SuiteItem, reason: FailReason, detail: str) -> l
     Args:
         run: planner and seed.
         item: problem or task.
-        reason: of the failure.
+        reason: reason of the failure.
         detail: one line of explanation.
     """
     if isinstance(item, ExecutedProblem):
@@ -264,7 +264,7 @@ def run_experiment(
     Args:
         experiment: problems, planners and seeds.
         out: folder of the rows.
-        executor: of the runs.
+        executor: executor of the runs.
         command: words of the command line, for the provenance.
         on_progress: called with runs done, all runs, and a note on the last run.
     """

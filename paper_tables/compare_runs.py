@@ -34,9 +34,9 @@ class Compared(NamedTuple):
     planner: str
     pairs: int
     solved: tuple[Interval, Interval]  # [%]
-    gained: tuple[Pair, ...]  # that B alone solves
-    lost: tuple[Pair, ...]  # that A alone solves
-    # of COMPARED_VALUES, as ratios B / A, over the runs that both solve
+    gained: tuple[Pair, ...]  # runs that only B solved
+    lost: tuple[Pair, ...]  # runs that only A solved
+    # ratios B / A of COMPARED_VALUES, over the runs that both solved
     changes: Mapping[str, Interval]
     left_out: tuple[int, int]  # runs of A alone and of B alone, which are not compared
     same_paths: int  # runs whose paths are equal bit for bit
@@ -129,8 +129,8 @@ def clear(found: Sequence[Compared]) -> list[str]:
 class Rule(NamedTuple):
     """Failure condition on a number of `Compared`."""
 
-    column: str  # of COMPARED_VALUES: the ratio B / A; or "solved": B - A [percentage points]
-    operator: str  # of OPERATORS
+    column: str  # name in COMPARED_VALUES: the ratio B / A; or "solved": B - A [percentage points]
+    operator: str  # one of OPERATORS
     bound: float
 
     def __str__(self) -> str:

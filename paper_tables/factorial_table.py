@@ -88,10 +88,10 @@ class Contrast(NamedTuple):
     """Two values of a factor, compared on rows whose other factors are equal."""
 
     title: str
-    factor: str  # of FACTORS
+    factor: str  # one of FACTORS
     one: object
     other: object
-    within: Mapping[str, object]  # what both sides have
+    within: Mapping[str, object]  # choices that both sides have
 
     def entry(self, runs: SuiteRuns) -> table.Entry:
         """Return ratios of the first side's rows to the second side's, all other factors equal."""

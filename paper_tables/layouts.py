@@ -323,7 +323,7 @@ GROUP_COLUMNS: Mapping[str, Column] = {
         name: Column(f"{RATIOS[name][0]} / {REFERENCE}", "1", ratio_to(REFERENCE, RATIOS[name][1]))
         for name in ("work_ratio", "own_time_ratio", "length_ratio")
     },
-    # of executions in simulation
+    # columns for executions in simulation
     "executed": Column("executed", "1", number_of(solved), cell=THREE_DIGITS),
     "undecided": Column("undecided", "1", number_of(_undecided), cell=THREE_DIGITS),
     "off_path_median": Column(

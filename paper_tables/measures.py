@@ -1,4 +1,4 @@
-"""What tables measure: values of a row, statistics, ratios to a baseline, easy and hard problems.
+"""Quantities in tables: values of a row, statistics, ratios to a baseline, easy and hard problems.
 
 Pure functions of rows. The work of a run is its projections, state checks and clearances, which
 do not depend on the machine. Seeds of one problem are not independent: everywhere a problem counts
@@ -26,7 +26,7 @@ from cvqmpt_lab.results.statistics import (
 )
 from cvqmpt_lab.search.work import CLEARANCE_COST, search_work
 
-REFERENCE = "birrt"  # its work says how hard a problem is; others are compared with it
+REFERENCE = "birrt"  # baseline of ratios; its work is the measure of difficulty of a problem
 WORK = f"projections, state checks and {CLEARANCE_COST:.2g} of the clearances"
 HARD_SHARE = 1 / 3
 # [s] PyBullet, all distances of a Panda in this kitchen: `cvqmpt bench paper-check`
@@ -38,7 +38,7 @@ NEWTON_STEP_COST = 5e-4
 Key = TypeVar("Key")
 Item = TypeVar("Item")
 Rows = Sequence[ResultRow]
-Value = Callable[[ResultRow], float | None]  # of a run; None where the row does not say it
+Value = Callable[[ResultRow], float | None]  # value of a run; None if the row does not have it
 solved = attrgetter("solved")
 
 
@@ -55,9 +55,9 @@ def search_cost(
     """Return the time of a run's work in the published code [s].
 
     Args:
-        row: of the run.
+        row: row of the run.
         residual: price of the constraint's value, once a projection [s].
-        step: of each of its Newton steps [s].
+        step: time of each of its Newton steps [s].
     """
     if row.n_projections is None or row.n_state_checks is None:
         return None
@@ -112,11 +112,11 @@ def suite_measure(name: str, row: ResultRow) -> float | None:
     return row.measures.get(name)
 
 
-VALUES: Mapping[str, Value] = {  # of a row, by name; times in [s]
+VALUES: Mapping[str, Value] = {  # values of a row by name; times in [s]
     "time": attrgetter("t_total_s"),
     "own_time": own_time,
     "known_time": known_time,
-    # where all from the scene's cloud was computed in the run
+    # only for runs that computed everything from the scene's cloud
     "new_time": lambda row: own_time(row) if row.scene_new else None,
     "goals_time": attrgetter("t_goals_s"),
     "network_time": network_time,
@@ -132,7 +132,7 @@ VALUES: Mapping[str, Value] = {  # of a row, by name; times in [s]
     ),
     "work": work,
     "paper_cost": paper_cost,
-    # the same if PyBullet's kinematics projected
+    # the same with projections by PyBullet's kinematics
     "pybullet_cost": partial(paper_cost, residual=5.5e-5, step=8e-5),
     "projections": attrgetter("n_projections"),
     "newton_iterations": attrgetter("n_newton_iterations"),
@@ -146,7 +146,7 @@ VALUES: Mapping[str, Value] = {  # of a row, by name; times in [s]
     "raw_length": attrgetter("path_length_raw_rad"),
     "true_clearance": attrgetter("true_clearance_m"),
     "g_sampled": attrgetter("g_sampled"),
-    # of executions in simulation
+    # values of executions in simulation
     **{
         name: partial(suite_measure, name)
         for name in ("off_path_mm", "tilt_rad", "contacts", "saturated_ms", "drift_mm", "placed")
@@ -241,10 +241,10 @@ def paired(
     Values that are not positive have no ratio and are left out.
 
     Args:
-        rows: of the planner.
+        rows: rows of the planner.
         baseline: rows of the planner to compare with.
-        value: of a row.
-        key: of rows that are paired.
+        value: function that returns the value of a row.
+        key: function that returns a key; rows with equal keys are paired.
         cutoff: value of a failed run and largest value of any run; then all problems that both
             tried are compared.
     """
@@ -302,12 +302,12 @@ def _hard_problems(rows: Rows) -> frozenset[str]:
 
 @dataclass(frozen=True)
 class SuiteRuns:
-    """The rows of one suite, and what columns compare a planner's rows with."""
+    """Rows of one suite, and the sets of runs by which columns compare planners."""
 
     rows: Rows
-    groups: Mapping[str, Rows]  # by planner (and backend, where a planner ran with several)
-    solving: Sequence[str]  # planners that solved something
-    joint: Collection[ProblemKey]  # runs that all of these solved
+    groups: Mapping[str, Rows]  # rows by planner (and backend, if a planner ran with several)
+    solving: Sequence[str]  # planners that solved at least one run
+    joint: Collection[ProblemKey]  # runs that all planners in `solving` solved
     # all, easy and hard runs by the work of REFERENCE; empty where that was not run
     split: Mapping[str, Collection[ProblemKey]]
 
@@ -317,9 +317,9 @@ class SuiteRuns:
 
 
 Measure = Callable[[Rows, SuiteRuns], Interval]
-"""The number of a column for a planner's rows."""
+"""Function that returns the number of a column for a planner's rows."""
 Over = Literal["all", "solved", "joint", "stated"]
-"""All runs, failures infinite; solved runs; runs that all planners solved; runs with a value."""
+"""Runs that a statistic uses: all, with failures as infinite; solved; jointly solved; stated."""
 
 
 def share_of(
@@ -342,17 +342,17 @@ def solved_within(time: float) -> Measure:
 
 
 def median_of(value: str, over: Over = "all") -> Measure:
-    """Median of a value of `VALUES`, with an order-statistic interval."""
+    """Return the median of a value of `VALUES` as a measure, with an order-statistic interval."""
     return lambda rows, runs: problem_median(_numbers(rows, runs, value, over))
 
 
 def mean_of(value: str, over: Over = "all") -> Measure:
-    """Mean of the finite ones, with a bootstrap interval."""
+    """Return the mean of finite values as a measure, with a bootstrap interval."""
     return lambda rows, runs: problem_mean(_numbers(rows, runs, value, over))
 
 
 def most_of(value: str) -> Measure:
-    """Largest value of the runs that state one; it has no interval."""
+    """Return the largest value of the runs that have one, as a measure without interval."""
 
     def measure(rows: Rows, runs: SuiteRuns) -> Interval:
         stated = [x for row in rows if (x := VALUES[value](row)) is not None]
@@ -362,7 +362,7 @@ def most_of(value: str) -> Measure:
 
 
 def number_of(value: Value) -> Measure:
-    """Number of runs whose value is not 0, among those that state one; it has no interval."""
+    """Return the number of runs with a value other than 0, as a measure without interval."""
 
     def measure(rows: Rows, runs: SuiteRuns) -> Interval:
         stated = [x for row in rows if (x := value(row)) is not None]

@@ -255,7 +255,7 @@ def report_html(
         },
         reading=reading(),
         sections=sections,
-        data={"columns": REPORT_COLUMNS, "sections": data},  # what the page's script reads
+        data={"columns": REPORT_COLUMNS, "sections": data},  # input of the page's script
     )
 
 
@@ -289,7 +289,7 @@ def section_of(evidence: Evidence) -> dict[str, Any]:
         "blocks": [block for block in table_of(rows).sections.items() if block[1]] if rows else [],
         "planners": list(groups),
         "plots": _plots(groups) if rows else {},
-        # of each planner in the plots, as html writes it
+        # html colours of planners in the plots
         "colours": {name: plots.line_style(name)["color"] for name in groups},
         "rows": {planner: [_row(row) for row in own] for planner, own in groups.items()},
         # the command that repeats a row

@@ -35,7 +35,7 @@ STYLE: Any = {
     "axes.spines.top": False,
     "axes.spines.right": False,
 }
-STAGES = {  # of a run, by the column of their time
+STAGES = {  # stages of a run, by the column of their time
     "goals": "t_goals_s",
     "encode": "t_encode_s",
     "predict": "t_predict_s",
@@ -43,7 +43,7 @@ STAGES = {  # of a run, by the column of their time
     "search": "t_plan_s",
     "shorten": "t_simplify_s",
 }
-COLOURS = {  # of planners
+COLOURS = {  # colours of planners
     "birrt": "#70757d",
     "birrt-printed": "#b3a58f",
     "cells": "#2f6f73",
@@ -123,8 +123,8 @@ def distribution(groups: Groups, value: Value, label: str, log: bool = True) -> 
 
     Args:
         groups: rows by planner.
-        value: of a row.
-        label: of the axis.
+        value: function that returns the value of a row.
+        label: label of the axis.
         log: whether the axis is logarithmic.
 
     Returns:

@@ -46,11 +46,11 @@ class Quoted:
         """Return the geometric mean of the ratio of a value to that of another planner.
 
         Args:
-            name: of the results directory.
+            name: name of the results directory.
             planner: whose value is divided.
-            value: of `VALUES`.
+            value: one of `VALUES`.
             over: planner of the divisor.
-            kind: of problems; empty: all.
+            kind: kind of problems; empty: all.
         """
         own, other = self.rows(name, planner, kind), self.rows(name, over, kind)
         return estimate(mean_ratio(paired(own, other, VALUES[value])))

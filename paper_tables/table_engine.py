@@ -169,13 +169,13 @@ def entry(
     """Measure a planner on some of its rows.
 
     Args:
-        name: of the planner, with its backend in brackets if there are several.
-        rows: that are measured.
+        name: name of the planner, with its backend in brackets if there are several.
+        rows: rows of the planner that are measured.
         runs: all rows of the suite.
-        columns: of the table, by name.
+        columns: columns of the table, by name.
         published: the paper's numbers.
         group: cells that name the group of the rows.
-        suffix: of the metrics in csv.
+        suffix: suffix of the metrics in csv.
     """
     owner = name.partition(" [")[0]  # without its backend
     return Entry(

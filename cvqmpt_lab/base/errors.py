@@ -12,7 +12,7 @@ from numbers import Integral
 from pathlib import Path
 from typing import Any
 
-MAX_VALUE_CHARACTERS = 120  # of a value in a message
+MAX_VALUE_CHARACTERS = 120  # largest number of characters of a value in a message
 MAX_MESSAGE_CHARACTERS = 1200
 
 

@@ -39,7 +39,7 @@ class Amount:
     seeds: int = 1
     cutoff: float = 10.0  # [s]
     planners: tuple[str, ...] | None = None  # None: those of the suite
-    folder: str | None = None  # of the results; None: the name of the suite
+    folder: str | None = None  # folder of the results; None: the name of the suite
     late: bool = False  # run after all amounts that are not late
 
 
@@ -67,7 +67,7 @@ class Suite:
     """A named, ordered set of problems or tasks, and how their rows are made and shown."""
 
     name: str
-    title: str  # of the table
+    title: str  # title of the table
     problems: Sequence[Any]  # indices, or names of the problems of a folder
     make: Callable[[Any], "SuiteItem"]  # problem or task of an element of `problems`
     planners: tuple[str, ...] = PlannerGroups.every  # run unless others are named
@@ -81,7 +81,7 @@ class Suite:
     of_tasks: bool = False  # items are tasks: a row is one phase of a task
     # every planner computes its own distance field and edge costs of a cloud
     new_scenes: bool = True
-    # what else decides the rows, as json values
+    # further settings on which the rows depend, as json values
     settings: Mapping[str, object] = field(default_factory=dict)
     # sha256 of a folder's problems, by name
     digests: Mapping[str, str] = field(default_factory=dict)

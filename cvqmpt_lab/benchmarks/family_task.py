@@ -90,8 +90,8 @@ def family_problem(
     """Return the problem of a scene between two upright states with a blocked straight motion.
 
     Args:
-        family: of `FAMILIES`.
-        number: of the scene in its family.
+        family: one of `FAMILIES`.
+        number: number of the scene in its family.
         robot_source: json of the robot.
         clear: distance of start and goal from obstacles [m].
     """
@@ -105,8 +105,8 @@ def upright_problem(
     """Return a problem between two upright states whose straight motion is blocked.
 
     Args:
-        name: of the problem.
-        robot: that plans.
+        name: name of the problem.
+        robot: the robot.
         scene: with all obstacles.
         rng: random generator for the states.
         clear: distance of start and goal from obstacles [m].
@@ -257,7 +257,7 @@ def hand_constraint(kind: str, T: np.ndarray, rng: np.random.Generator) -> HandC
     """Return a constraint that a hand at the pose T (4, 4) meets.
 
     Args:
-        kind: of `CONSTRAINT_KINDS`, except the door, which is `held_door`.
+        kind: one of `CONSTRAINT_KINDS`, except the door, which is `held_door`.
         T: pose of the hand.
         rng: random generator for directions.
     """
@@ -308,7 +308,7 @@ def _carried(scene: Scene, name: str, T: np.ndarray, trim: float = 0.02) -> Atta
 
     Args:
         scene: with the door.
-        name: of the part.
+        name: name of the part.
         T: pose of the hand.
         trim: width that is cut off at all edges of the panel [m]: its gap is half a millimetre.
     """

@@ -30,7 +30,7 @@ class Grip:
     """
 
     robot: Robot  # with its fingers open
-    axis: Axis  # of the end effector, along which it approaches the handle
+    axis: Axis  # axis of the end effector, along which it approaches the handle
     T_handle_hand: np.ndarray  # (4, 4)
     beyond: float  # distance by which the hand extends past the handle's origin [m]
     bar: float  # length of a bar [m]; 0: a knob, whose face is the handle's origin

@@ -123,7 +123,7 @@ def unpack(archive: Path, folder: Path, most: int = 2**26) -> None:
 
     Args:
         archive: file of the archive.
-        folder: is replaced.
+        folder: output folder; it is replaced.
         most: largest size of one file [bytes].
 
     Raises:
@@ -254,7 +254,7 @@ def problem_of_texts(
     turn without end, which the robot's file bounds by 3.14159 rad.
 
     Args:
-        name: of the problem.
+        name: name of the problem.
         robot: whose joints the request names.
         scene_name: name of the scene, for error messages.
         scene: yaml text.
@@ -284,7 +284,7 @@ def level_problem(index: int, tilt: float = 0.1) -> PlanningProblem | Unsolvable
     that translate the constraint have narrower bounds.
 
     Args:
-        index: as in `motion_bench_problem`.
+        index: index of the problem, as in `motion_bench_problem`.
         tilt: largest angle between axis and vertical [rad].
     """
     found = motion_bench_problem(index)

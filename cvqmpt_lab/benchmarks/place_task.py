@@ -231,7 +231,7 @@ def problem_between(
     """Return a problem of the Panda from a state drawn in one region to another region.
 
     Args:
-        name: of the problem.
+        name: name of the problem.
         scene: with all obstacles.
         ends: regions of the hand at the start and at the goal.
         constraint: region of the hand on the way.

@@ -34,7 +34,7 @@ def scanned_scene(
     """Return the problem in the real scene with one goal, and its cameras.
 
     Args:
-        number: of the scene; even ones are kitchens, odd ones tables.
+        number: number of the scene; even ones are kitchens, odd ones tables.
         clear: distance of start and goal from obstacles [m].
     """
     rng = np.random.default_rng([number, 12])

@@ -22,7 +22,7 @@ from cvqmpt_lab.tasks.task import Move, Slide, Task, Turn
 from cvqmpt_lab.trajectory.timing import TimingSettings
 
 Furniture = Literal["drawer", "door"]
-TASK_COMMENTS = {  # of the template: values that fields of a task file may have
+TASK_COMMENTS = {  # comments of the template: possible values of fields of a task file
     "task": [
         "A task for `cvqmpt plan --task-file`. Lengths in m, angles in rad; a field _comment may "
         "stand anywhere.",
@@ -54,7 +54,7 @@ class Place(NamedTuple):
     yaw: float  # direction from the joint to the handle [rad]
     ahead: float  # distance of the hand that holds the closed handle, in shares of its reach
     up: float  # height in shares of the hand's reach
-    roll: float  # of the hand about the line to the handle [rad]
+    roll: float  # roll of the hand about the line to the handle [rad]
     side: float  # -1 or 1: the side of the hinge, and of the hand at the start
 
 
@@ -130,7 +130,7 @@ def _task(
         hold: grip of the handle.
         what: furniture that the arm opens.
         place: position of the handle.
-        reach: of the hand [m].
+        reach: reach of the hand [m].
     """
     size = min(round(reach / 0.86, 2), 1.2)  # scale of the furniture: 1 for the panda
     pull = 0.2 * size if what == "drawer" else -0.6 * place.side

@@ -28,7 +28,7 @@ from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.space import ConstrainedSpace, direct_motion
 
 TEMPLATE_TILT_RAD = 0.3
-PROBLEM_COMMENTS = {  # of the template: values that fields of a problem file may have
+PROBLEM_COMMENTS = {  # comments of the template: possible values of fields of a problem file
     "problem": [
         "A problem for `cvqmpt plan --problem-file`. Lengths in m, angles in rad; a field _comment "
         "may stand anywhere.",
@@ -240,11 +240,11 @@ def _ends(
     """Yield pairs of free configurations (n,) on the manifold at both sides of the wall.
 
     Args:
-        robot: that plans.
+        robot: the robot.
         scene: table and wall.
-        layout: of the scene and the hand.
+        layout: layout of the scene and the hand.
         top: height of the table [m].
-        axis: of the end effector that points up.
+        axis: axis of the end effector that points up.
     """
     checker = CollisionChecker(robot, scene, margin=SAMPLE_MARGIN_M)
     reach, origin = hand_reach(robot), robot.kinematics.translation[0]

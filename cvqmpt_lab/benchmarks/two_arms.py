@@ -82,7 +82,7 @@ def _into_shelf(
 class CarryingLayout(NamedTuple):
     """A kind of problem; lengths are fractions of the reach of an arm (dimensionless)."""
 
-    size: tuple[float, float, float]  # of the carried object
+    size: tuple[float, float, float]  # size of the carried object
     start: tuple[float, float, float]  # its centre, from the middle between the shoulders
     goal: tuple[float, float, float]
     grasps: tuple[str, ...]  # direction of the hands: forward, inward (to each other) or down
@@ -149,7 +149,7 @@ def hold(
 
     Args:
         robot: with two end effectors.
-        kind: of `CARRYING_LAYOUTS`.
+        kind: one of `CARRYING_LAYOUTS`.
         poses: number of poses of the object that are tried for each grasp.
 
     Returns:
@@ -241,8 +241,8 @@ def carrying_problem(
 
     Args:
         robot: with two hands.
-        kind: of `CARRYING_LAYOUTS`.
-        number: of the problem.
+        kind: one of `CARRYING_LAYOUTS`.
+        number: number of the problem.
         draws: number of scenes that are tried.
     """
     item, size, constraint = hold(robot, kind)

@@ -73,9 +73,9 @@ class Clearance(NamedTuple):
 class Deviation(NamedTuple):
     """Deviation of a motion at which no piece collides and no bound of positive width is broken."""
 
-    points_m: float  # of every point of the robot and of what it carries
+    points_m: float  # deviation of every point of the robot and its load
     hand_rad: float  # rotation of the hand
-    joints: float  # of all joints at once, without another deviation [rad or m]
+    joints: float  # deviation of all joints at once, without others [rad or m]
 
     def __str__(self) -> str:
         """Return the deviation in words."""
@@ -216,7 +216,7 @@ def deviation_tolerated(
         problem: the constraint, and the robot with what it carries.
         states: the path (m, n) [rad or m].
         clearances: from obstacles, and of the robot's own pieces.
-        deviation: of the motion from straight lines between states [m].
+        deviation: deviation of the motion from straight lines between states [m].
     """
     robot, regions = problem.robot, problem.constraint
     to_obstacles, to_itself = clearances
@@ -226,7 +226,7 @@ def deviation_tolerated(
     if to_itself:
         free.append(to_itself.at_least_m / 2)  # both pieces of the pair may move
     points, hand = min(free), np.inf
-    # what all joints together may move and turn the frame of a region
+    # bounds on translation and rotation of a region's frame by all joints together
     moved, turned = points, hand
     arms = [float(np.linalg.norm(np.linalg.inv(region.Tw_e)[:3, 3])) for region in regions]
     for region, arm in zip(regions, arms, strict=True):

@@ -207,7 +207,7 @@ def _moments(
 
     Args:
         curve: q(t).
-        limits: of the joints.
+        limits: limits of the joints.
         flat: largest distance from straight [rad or m].
         hardest: accelerations above this multiple of a limit are refused: units must be wrong.
         most_pieces: largest number of times.
@@ -240,8 +240,8 @@ def _limit_faults(
     Args:
         curve: q(t).
         given: accelerations at the points of the motion (k, n), checked in addition, or None.
-        limits: of the joints.
-        times: of the certified states (m,) [s].
+        limits: limits of the joints.
+        times: times of the certified states (m,) [s].
     """
     for order, kind, unit, limit in (
         (1, FaultKind.VELOCITY, "rad/s", limits.velocity),
@@ -282,7 +282,7 @@ def _effort_faults(
     Args:
         problem: the robot and its load.
         curve: q(t).
-        times: of the certified states (m,) [s].
+        times: times of the certified states (m,) [s].
         resolution: see above.
         most_parts: largest number of parts; with more, efforts are not proven.
     """

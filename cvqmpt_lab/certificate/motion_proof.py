@@ -42,7 +42,7 @@ class MotionProof:
     colliding: np.ndarray | None  # (n,), the first colliding configuration found, or None
     unproven: Unproven | None  # the longest unproven stretch; None after a collision
     checks: int  # number of stretches that were checked
-    # of the robot from obstacles, and of its own pieces; None if they were not computed
+    # distances from obstacles, and between own pieces; None if they were not computed
     obstacles: LeastDistance | None = None
     itself: LeastDistance | None = None
 
@@ -152,7 +152,7 @@ def _prove(
             the numbers of parts proven to keep the distance, and the motion of the others [m].
         hits: function that returns whether a state collides.
         least: search for the least distance, or None.
-        margin: of the checker [m].
+        margin: margin of the checker [m].
         longest: length of the first stretches [rad].
         finest: length at which a stretch with a free middle is not cut further [rad].
         coarse: replaces `finest` after an unproven stretch or `max_fine_checks` [rad].

@@ -34,7 +34,7 @@ def solids(name: str, shape: Shape, T: np.ndarray, reach: float = np.inf) -> Ite
     Boxes are three times as fast to check as coal's octrees, which descend from 2^16 cells.
 
     Args:
-        name: of the shape.
+        name: name of the shape.
         shape: a solid, cloud or map.
         T: its pose (4, 4) in the world or in the hand [m].
         reach: boxes further than this from the origin of that frame may be left out [m].

@@ -54,7 +54,7 @@ def bound_between(
 
 
 def _other_sign(region: TaskSpaceRegion, x: np.ndarray) -> np.ndarray:
-    """How much further ends (m - 1,) are outside with the rotation vector's other sign [m, rad].
+    """Increase of the violation at ends (m - 1,) if the rotation vector changes sign [m, rad].
 
     A rotation by pi has two vectors, v and -v; close to it, a motion has now one and now the other.
 
@@ -69,7 +69,7 @@ def _other_sign(region: TaskSpaceRegion, x: np.ndarray) -> np.ndarray:
 
 
 def _between_tilts(turn: np.ndarray, tilt: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """How far the tilt b may exceed the larger one of both ends of stretches.
+    """Bound on the excess of the tilt over the larger tilt b at both ends of each stretch.
 
     b is the angle between a fixed unit vector and z(s), which turns with angular velocity w(s), 0
     <= s <= 1. With |w| <= D = sum_j |dq_j|, |b'| <= D: b exceeds the larger end by at most D / 2.

@@ -49,7 +49,7 @@ def fixed_orientation(
     """Return the region of a fixed orientation of the end effector; its position is free.
 
     Args:
-        tolerance: of each entry of the rotation vector from that orientation [rad].
+        tolerance: bound on each entry of the rotation vector from that orientation [rad].
         rpy: roll, pitch, yaw about the world's x, y, z [rad].
         quaternion: the same as x, y, z, w.
     """
@@ -61,8 +61,8 @@ def plane(normal: Vector, point: Vector, tolerance: Tolerance = 0.0) -> TaskSpac
     """Return the region where the end effector's origin stays in a plane; it turns freely.
 
     Args:
-        normal: of any length.
-        point: of the plane [m].
+        normal: normal of the plane, of any length.
+        point: a point of the plane [m].
         tolerance: to both sides [m].
     """
     bounds = [FREE, FREE, tolerance] + [FREE] * 3
@@ -73,8 +73,8 @@ def line(direction: Vector, point: Vector, tolerance: Tolerance = 0.0) -> TaskSp
     """Return the region where the end effector's origin stays on a line; it turns freely.
 
     Args:
-        direction: of any length.
-        point: of the line [m].
+        direction: direction of the line, of any length.
+        point: a point of the line [m].
         tolerance: across the line, in each of two directions [m].
     """
     bounds = [tolerance, tolerance, FREE] + [FREE] * 3

@@ -15,8 +15,8 @@ from cvqmpt_lab.robot.robot import Robot
 class BoundUse:
     """Largest use of one entry's bounds along a path."""
 
-    region: int  # which of the regions, from 0
-    row: int  # of its `bounds`, 0 to 6
+    region: int  # index of the region, from 0
+    row: int  # row of its `bounds`, 0 to 6
     value: float  # displacement closest to a bound, or furthest beyond it [m] or [rad]
     lower: float  # lower bound, -inf where there is none [m] or [rad]
     upper: float  # upper bound, inf where there is none [m] or [rad]

@@ -253,7 +253,7 @@ def upright(tilt: Angle = 0.1, axis: Axis = "x") -> TaskSpaceRegion:
 
     Args:
         tilt: largest angle between axis and vertical [rad].
-        axis: of the end-effector frame.
+        axis: axis of the end-effector frame.
     """
     return symmetric_region(np.eye(4), _standing(axis), [FREE] * 6, tilt)
 
@@ -268,7 +268,7 @@ def upright_box(tilt: Angle = 0.1, axis: Axis = "x") -> TaskSpaceRegion:
 
     Args:
         tilt: bound of both entries [rad].
-        axis: of the end-effector frame.
+        axis: axis of the end-effector frame.
     """
     T0_w = rigid(UPRIGHT_ROTATION)
     return symmetric_region(T0_w, T0_w.T @ _standing(axis), [FREE] * 4 + [tilt] * 2)

@@ -210,7 +210,7 @@ def external_planner(name: str) -> ExternalPlanner:
 
 
 def is_external(name: str) -> bool:
-    """Whether the name has the form ``module:planner`` or is that of an entry point."""
+    """Return whether a name has the form ``module:planner`` or is that of an entry point."""
     return ":" in name or name in entry_point_names()
 
 

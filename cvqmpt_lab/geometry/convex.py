@@ -22,7 +22,7 @@ def prism_around(radius: float, ends: tuple[float, float], sides: int) -> np.nda
     Its edges are radius / cos(pi / sides) from the axis, so that its sides touch the cylinder.
 
     Args:
-        radius: of the cylinder [m].
+        radius: radius of the cylinder [m].
         ends: z of its two ends, in the order of the vertices [m].
         sides: number of sides of the prism.
     """

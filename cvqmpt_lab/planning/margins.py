@@ -99,8 +99,8 @@ def solve_with_margin(
     Args:
         problem: the problem.
         method: a planner or its name.
-        budget: of both runs.
-        seed: of random numbers.
+        budget: budget of both runs.
+        seed: seed of random numbers.
         margin: for tracking error.
         **options: more arguments of `solve`.
 

@@ -60,9 +60,9 @@ def solve(
     Args:
         problem: the planning problem.
         method: a planner or its name.
-        budget: of prediction and search.
-        seed: of random numbers.
-        backend: of state checks, "compiled" or "exact".
+        budget: budget of prediction and search.
+        seed: seed of random numbers.
+        backend: backend of state checks, "compiled" or "exact".
         clearance: whether the certificate measures the smallest distance.
         optimize: budget for shorter paths after the first one; the result is never longer.
         use_cache: False: the planner's time contains all computations from the cloud, also those
@@ -218,7 +218,7 @@ def _attempts(
     Args:
         problem: the problem.
         query: start, goals and budget.
-        stages: of the planner.
+        stages: stages of the planner.
         observed: sensor data.
         tree_search: the search of the planner.
         near: number of nearest goals that are searched first.
@@ -267,8 +267,8 @@ def solve_many(
     Args:
         problems: the planning problems.
         method: a planner or its name.
-        budget: of each problem.
-        seed: of each problem.
+        budget: budget of each problem.
+        seed: seed of each problem.
         **options: more arguments of `solve`.
 
     Returns:

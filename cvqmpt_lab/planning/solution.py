@@ -22,7 +22,7 @@ class Solution:
     problem: PlanningProblem
     plan: PlanResult
     simplified: Simplified | None = None  # the shortened path; None without a path
-    certificate: Certificate | None = None  # of the shortened path; None without a path
+    certificate: Certificate | None = None  # certificate of the shortened path; None without a path
     goal_seconds: float = 0.0  # time of drawing goals [s]
     # time of rendering or reading the cloud [s], which counts for no planner
     observe_seconds: float = 0.0

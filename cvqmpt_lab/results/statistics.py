@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.results.row import ResultRow, natural_key
 
-CONFIDENCE = 0.95  # of every interval
+CONFIDENCE = 0.95  # confidence level of every interval
 ProblemKey = tuple[str, str, int]  # (suite, problem, seed), the same for both runs of a pair
 problem_key: Callable[[ResultRow], ProblemKey] = attrgetter("suite", "problem", "seed")
 

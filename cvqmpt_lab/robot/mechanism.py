@@ -37,7 +37,7 @@ class Part(Checked):
 class ArticulatedObject(Checked):
     """A door or drawer: one joint, the pieces that it moves, and the fixed pieces around them."""
 
-    name: Name  # of the joint
+    name: Name  # name of the joint
     kind: Literal["hinge", "slider"]  # turns about the z axis of the joint frame, or moves along it
     T_world_joint: Pose  # (4, 4) at value 0
     lower: float  # [rad or m]

@@ -57,7 +57,7 @@ class RobotSource:
     # (4, 4) pose of the URDF's base link in the world; None: the identity
     base: Pose | None = None
     name: str = ""  # a key of `ARMS`, instead of a URDF; other fields replace the named arm's
-    finger_opening: float | None = None  # of each finger of the Panda [m]
+    finger_opening: float | None = None  # opening of each finger of the Panda [m]
     # several frames instead of `end_effector`; a region without a frame refers to the first
     end_effectors: tuple[str, ...] = ()
 
@@ -168,7 +168,7 @@ def _of_arm(given: RobotSource) -> RobotSource:
     )
 
 
-PANDA_FINGER_OPENING_M = 0.04  # of each finger
+PANDA_FINGER_OPENING_M = 0.04  # default opening of each finger
 
 # Robots with two arms, which `ARMS` also has with one arm: NAME-left and NAME-right
 TWO_ARMS: Mapping[str, RobotSource] = {

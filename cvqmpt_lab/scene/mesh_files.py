@@ -33,7 +33,7 @@ from cvqmpt_lab.robot.urdf import collada_unit
 from cvqmpt_lab.scene.cloud_files import check_lengths, parsing, read_by_suffix
 from cvqmpt_lab.scene.shapes import MIN_THICKNESS_M
 
-MAX_TRIANGLES = 200_000  # of a file
+MAX_TRIANGLES = 200_000  # largest number of triangles of a file
 MAX_MESH_PIECES = 48
 
 

@@ -68,7 +68,7 @@ def _scene(
     Args:
         parse: function from a text to the message.
         data: content of the file.
-        path: of the file.
+        path: path of the file.
         whole_message: refuse settings of the robot's links, too.
     """
     message = parse(data.decode("utf-8"))

@@ -189,7 +189,7 @@ class Deadline:
         """Return the result of a tree search that ends now.
 
         Args:
-            path: that was found; None: the budget is spent.
+            path: path that was found; None: the budget is used up.
             trees: from the start and from the goals.
             sampler: name of the sampling distribution.
             detail: see `PlanResult.detail`.
@@ -235,7 +235,7 @@ class Query:
             space: the planning space.
             start: (n,) [rad or m].
             goals: (k, n) [rad or m].
-            budget: of prediction and search.
+            budget: budget of prediction and search.
             rng: random number generator.
             seed: seed of `rng`.
         """

@@ -25,7 +25,7 @@ class PlanStatus(StrEnum):
     NO_GOAL = "no_goal"
     INVALID_START = "invalid_start"
     INVALID_GOAL = "invalid_goal"
-    # of external planners
+    # only from external planners
     PLANNER_ERROR = "planner_error"
     MALFORMED_PATH = "malformed_path"
     OVERTIME = "overtime"

@@ -247,8 +247,8 @@ class RoadmapQuery:
             roadmap: nodes and links.
             start: (n,) [rad or m].
             goals: (k, n) [rad or m].
-            settings: of the search.
-            costs: of edges.
+            settings: settings of the search.
+            costs: costs of edges.
             longest: paths that cost as much or more are not searched for [rad].
             verdict: on all nodes; CHECKED_FREE: they are free and on the manifold.
         """
@@ -296,7 +296,7 @@ class RoadmapQuery:
         """Search for the shortest free path.
 
         Args:
-            deadline: of the whole run.
+            deadline: end of the time limit of the run.
             work: limit of the work of this call, in units of `ConstrainedSpace.work`; each node
                 that A* expands counts as 1, too.
 

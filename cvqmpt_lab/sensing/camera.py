@@ -349,13 +349,13 @@ class DepthNoise:
     because pixels are binned. Fields without a source say "assumed".
     """
 
-    floor: float = 0.0006  # of depths on the brightest surface [m]; assumed
+    floor: float = 0.0006  # standard deviation of depths on the brightest surface [m]; assumed
     per_light: float = (0.017 - 0.0006) * WEAKEST_LIGHT  # per 1 / s [m / m^2]; 17 mm at full range
     weakest: float = WEAKEST_LIGHT  # no depth below this s [1/m^2]
-    flicker: float = 0.3  # of the logarithm of a pixel's light; assumed
-    lateral: float = 0.5  # of the direction of a pixel [pixels]
-    offset: float = 0.011 / 3.0  # of an image's systematic error [m]
-    scale: float = 0.001 / 3.0  # of an image's systematic error in proportion to depth
+    flicker: float = 0.3  # standard deviation of the logarithm of a pixel's light; assumed
+    lateral: float = 0.5  # standard deviation of the direction of a pixel [pixels]
+    offset: float = 0.011 / 3.0  # constant part of an image's systematic error [m]
+    scale: float = 0.001 / 3.0  # part of an image's systematic error in proportion to depth
     edge_lost: float = 0.3  # share of pixels without depth at edges of surfaces; assumed
     edge_flying: float = 0.3  # share of pixels with a depth between both surfaces; assumed
     multipath: float = 0.02  # mean depth that mirrored light adds [m]; assumed

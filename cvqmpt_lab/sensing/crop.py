@@ -11,8 +11,8 @@ class Crop:
     """Region of a cloud in the robot's base frame: a ball, or the box of the published clouds."""
 
     kind: Literal["ball", "box"] = "ball"
-    centre: tuple[float, float, float] = (0.0, 0.0, 0.33)  # of the ball [m]
-    radius: float = 1.2  # of the ball [m]
+    centre: tuple[float, float, float] = (0.0, 0.0, 0.33)  # centre of the ball [m]
+    radius: float = 1.2  # radius of the ball [m]
     lower: tuple[float, float, float] = (-0.88, -0.88, -0.4)  # corner of the box [m]
     upper: tuple[float, float, float] = (0.88, 0.88, 1.2)  # opposite corner of the box [m]
 

@@ -199,7 +199,7 @@ def _side(
     ROS's message has those of the whole sensor; the image is its region of interest, binned.
 
     Args:
-        fields: of a file of intrinsics.
+        fields: content of a file of intrinsics.
         side: "width" or "height".
         axis: "x" or "y".
         focal: focal length of the sensor [pixels].

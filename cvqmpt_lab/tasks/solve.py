@@ -39,7 +39,8 @@ class PhaseOutcome:
     phase: PlannedPhase
     world: World  # before the phase
     attempts: tuple[Solution, ...]  # in order; the last one counts
-    trajectory: Trajectory | None = None  # of the last attempt; None: it is not certified or timed
+    # timed path of the last attempt; None: the attempt is not certified or not timed
+    trajectory: Trajectory | None = None
     margin: str = ""  # margin of the plan, and why it is not larger
     fallback: str = ""  # planner used instead of the chosen one and the reason, or ""
     reason: str = ""  # reason of the failure, or ""
@@ -74,7 +75,8 @@ class TaskSolution:
     """Result of a task."""
 
     task: Task
-    outcomes: tuple[PhaseOutcome, ...]  # of the planned phases in order, up to one that failed
+    # results of the planned phases in order, up to one that failed
+    outcomes: tuple[PhaseOutcome, ...]
     world: World  # at the end
 
     def __repr__(self) -> str:

@@ -36,15 +36,15 @@ from cvqmpt_lab.tasks.task import Grasp, HandPhase, Hold, Move, PlannedPhase, Sl
 class Load(NamedTuple):
     """A carried object."""
 
-    item: SceneObject  # as it was in the scene
-    attachment: Attachment  # as it is in the hand
+    item: SceneObject  # object at its pose in the scene before the grasp
+    attachment: Attachment  # object in the hand
 
 
 @dataclass(frozen=True, eq=False)
 class World:
     """State of a task at one time."""
 
-    source: Mapping[str, Any]  # of the arm, with the gripper's current opening
+    source: Mapping[str, Any]  # description of the arm, with the gripper's current opening
     scene: Scene  # without the carried object; doors at their current values
     q: np.ndarray  # (n,) of the arm [rad or m]
     held: Load | Hold | None = None  # a carried object, or the phase that took hold of a door

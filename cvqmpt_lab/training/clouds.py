@@ -24,7 +24,7 @@ from cvqmpt_lab.vqmpt.config import Size
 
 @dataclass(frozen=True, kw_only=True)
 class CloudSettings:
-    """How clouds are sampled."""
+    """Settings for sampling clouds."""
 
     points: Size = 1024
     crop: Crop = field(default_factory=Crop)

@@ -64,7 +64,7 @@ class SetAbstractionConfig:
     ratio: Annotated[
         float, Condition(float, lambda share: 0.0 < share <= 1.0, "more than 0, at most 1")
     ] = 0.75
-    radius: Length  # of the ball around a centre [m]
+    radius: Length  # radius of the ball around a centre [m]
     max_neighbours: Size = 64  # maximum number of points used of each ball
     widths: tuple[Size, Size]  # outputs of the perceptron's two layers
 
@@ -81,7 +81,8 @@ class PointCloudConfig:
 class SequenceConfig:
     """Stage 2, which maps scene, start and goal to a sequence of codes."""
 
-    context: TransformerConfig = field(default_factory=TransformerConfig)  # of start and goal
+    # network that encodes start and goal
+    context: TransformerConfig = field(default_factory=TransformerConfig)
     transformer: TransformerConfig = field(default_factory=TransformerConfig)  # autoregressive
     max_length: Size = 50  # maximum number of predicted tokens, the goal token included
 
@@ -98,7 +99,8 @@ class ModelConfig:
     # encoder and sequence model of the published architecture; both None if it has none
     point_cloud: PointCloudConfig | None = field(default_factory=PointCloudConfig)
     sequence: SequenceConfig | None = field(default_factory=SequenceConfig)
-    transformer: "SceneTransformerConfig | None" = None  # of the scene transformer, if it has one
+    # sizes of the scene transformer, if the model has one
+    transformer: "SceneTransformerConfig | None" = None
 
     def __post_init__(self) -> None:
         if (self.point_cloud is None) != (self.sequence is None):
@@ -213,7 +215,7 @@ class SceneTransformerSizes:
     """Sizes of `SceneTransformer`; defaults are those of the shipped weights."""
 
     width: Size = 128
-    layers: Depth = 3  # of the causal transformer
+    layers: Depth = 3  # number of layers of the causal transformer
     heads: Size = 4
     groups: Size = 128  # groups of points, one scene token each
     group_size: Size = 32  # points of each group
