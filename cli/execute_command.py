@@ -55,6 +55,9 @@ def run(args: argparse.Namespace) -> int:
     """Plan unless a motion is given, execute and report; return 1 if not executed as planned."""
     mujoco_module()  # refused before anything is planned
     times = CONTACT_TIMES_S if args.contact_time is None else (args.contact_time,)
+    # steps of the simulation are half as long: shorter ones take hours, at longer ones things sink
+    if not 1e-4 <= min(times) <= max(times) <= 0.1:
+        raise InvalidInputError(f"--contact-time {args.contact_time:g} s: give 0.0001 to 0.1 s")
     item = chosen_problem(args)
     executions = _task(args, item, times) if isinstance(item, Task) else _motion(args, item, times)
     outcome, why = agreed(executions)

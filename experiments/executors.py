@@ -18,7 +18,12 @@ from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any, NamedTuple, TypeVar
 
-from cvqmpt_lab.base.errors import CvqmptError, InvalidInputError, require_installed
+from cvqmpt_lab.base.errors import (
+    CvqmptError,
+    InvalidInputError,
+    require_installed,
+    whole_number,
+)
 from cvqmpt_lab.base.processes import end_with_parent, limit_memory
 from cvqmpt_lab.results.row import FailReason
 
@@ -96,7 +101,11 @@ def _detail(error: BaseException) -> str:
 def local_processes(
     count: int, limit_s: Callable[[Any], float | None] = lambda task: None
 ) -> Iterator[Executor]:
-    """Yield an executor of processes; limit_s: time [s] after which a task is ended."""
+    """Yield an executor of processes; limit_s: time [s] after which a task is ended.
+
+    More than 4 processes a core, or 64, are refused: each takes 200 MB or more.
+    """
+    whole_number("jobs", count, 1, max(64, 4 * (os.cpu_count() or 1)))
     import pebble.pool.process
     from pebble import ProcessExpired, ProcessPool
 

@@ -28,7 +28,7 @@ import numpy as np
 
 from cvqmpt_lab.base.caches import cache_folder, trusted_cache, written_by_owner_only
 from cvqmpt_lab.base.errors import InvalidInputError
-from cvqmpt_lab.base.files import make_folder, read_bytes, write_bytes, yaml_value
+from cvqmpt_lab.base.files import locked, make_folder, read_bytes, write_bytes, yaml_value
 from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.benchmarks.item import UnsolvableProblem
 from cvqmpt_lab.constraints.goals import SAMPLE_MARGIN_M, sample_region
@@ -63,10 +63,13 @@ def fetch() -> Path:
     """
     folder = bench_folder()
     archive = folder / BENCH_ARCHIVE
-    if not archive.exists():
-        _download(archive)
-    require_digest(read_bytes(archive, "archive"), BENCH_ARCHIVE, archive)
-    unpack(archive, folder / "robots")
+    with locked(folder):
+        for left in folder.glob(".fetch-*"):  # by a fetch that was killed
+            shutil.rmtree(left, ignore_errors=True)
+        if not archive.exists():
+            _download(archive)
+        require_digest(read_bytes(archive, "archive"), BENCH_ARCHIVE, archive)
+        unpack(archive, folder / "robots")
     return folder
 
 
@@ -93,7 +96,7 @@ def require_digest(data: bytes, name: str, path: Path) -> None:
 def _download(archive: Path) -> None:
     """Download the archive by pip, which asks for its metadata and builds nothing."""
     package, version = "vamp-planner", "0.6.4"
-    with tempfile.TemporaryDirectory(dir=archive.parent) as place:
+    with tempfile.TemporaryDirectory(prefix=".fetch-", dir=archive.parent) as place:
         wanted = Path(place, "wanted.txt")
         wanted.write_text(
             f"{package}=={version} --hash=sha256:{BENCH_DIGESTS[BENCH_ARCHIVE]}\n", "utf-8"
@@ -134,7 +137,8 @@ def unpack(archive: Path, folder: Path, most: int = 2**26) -> None:
         r"\.(?:urdf|srdf|stl|obj|dae|tar\.bz2))",
         re.IGNORECASE | re.ASCII,
     )
-    with written_by_owner_only(), tempfile.TemporaryDirectory(dir=folder.parent) as place:
+    here = tempfile.TemporaryDirectory(prefix=".fetch-", dir=folder.parent)
+    with written_by_owner_only(), here as place:
         try:
             with tarfile.open(archive, "r:gz") as tar:
                 for member in tar:

@@ -136,10 +136,14 @@ def test_problems_that_were_not_fetched_or_have_changed_are_refused(empty_cache,
     fetched = "cvqmpt problems fetch motion-bench"
     assert fetched in command_refused(capsys, "problems", "list", "motion-bench")
     empty_cache.mkdir(parents=True, exist_ok=True)
+    left = empty_cache / ".fetch-killed" / "part.tar.gz"
+    left.parent.mkdir()
+    left.write_bytes(b"half of an archive")
     path = archive_of(empty_cache)
     digest = hashlib.sha256(path.read_bytes()).hexdigest()
     said = command_refused(capsys, "problems", "fetch", "motion-bench")
     assert all(word in said for word in (str(path), digest, BENCH_DIGESTS[BENCH_ARCHIVE], fetched))
+    assert not left.parent.exists()
     unpack(path, empty_cache / "robots")
     said = command_refused(capsys, "problems", "list", "motion-bench")
     assert "problems.tar.bz2 is changed or cut" in said and BENCH_DIGESTS["panda"] in said

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
+from command_line import refused as command_refused
 from refusals import refused
 
 from cvqmpt_lab.base.poses import pose
@@ -171,3 +172,11 @@ def test_execute_reports_and_answers_json(cvqmpt, tmp_path):
     told = json.loads(cvqmpt(f"{words} --json --contact-time 0.002"))
     assert told["outcome"] == "executed as planned"
     assert told["executions"][0]["contact_time"] == 0.002
+
+
+@pytest.mark.parametrize("time", ["1e-7", "0.5"])
+def test_contact_times_that_no_simulation_can_have_are_refused(capsys, time):
+    """A step of 50 ns simulated for hours."""
+    words = ("execute", "place-task-with-can", "--contact-time", time)
+    said = command_refused(capsys, *words)
+    assert f"--contact-time {float(time):g} s: give 0.0001 to 0.1 s" in said

@@ -235,3 +235,9 @@ def test_what_is_no_cluster_is_refused_in_one_line(monkeypatch):
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     told = r"not installed: .venv/bin/pip install -c .*'\.\[dask\]'"
     refused(told, cluster().__enter__)
+
+
+def test_more_processes_than_a_machine_can_bear_are_refused(tmp_path):
+    """A million of them were started, one after another, without an end."""
+    most = max(64, 4 * os.cpu_count())
+    refused(f"jobs 1000000: give a whole number from 1 to {most}", run, FOUR, tmp_path, jobs=10**6)
