@@ -217,13 +217,19 @@ def _compared(problem: PlanningProblem) -> dict[str, Any]:
     }
     pairs, between = carried_pairs(robot, carried), pairs_of_carried(robot, carried)
     left_out = [pair._asdict() for pair in robot.left_out_pairs]
-    rows = [robot.hand(item.end_effector)[0] for item in carried]
     left_out += [
-        LeftOut(link.name, item.name, _why_left_out(piece.link, row))._asdict()
-        for i, (link, piece) in enumerate(zip(links, robot.links, strict=True))
-        for k, (item, row) in enumerate(zip(carried, rows, strict=True))
-        if (i, k) not in pairs
+        LeftOut.by_default(piece.name, "obstacles")._asdict()
+        for piece in robot.links
+        if piece.self_only
     ]
+    rows = [robot.hand(item.end_effector)[0] for item in carried]
+    for i, piece in enumerate(robot.links):
+        for k, (item, row) in enumerate(zip(carried, rows, strict=True)):
+            if piece.self_only:
+                left_out.append(LeftOut.by_default(piece.name, item.name)._asdict())
+            elif (i, k) not in pairs:
+                why = _why_left_out(piece.link, row)
+                left_out.append(LeftOut(piece.name, item.name, why)._asdict())
     left_out += [
         LeftOut(carried[k].name, carried[m].name, _why_left_out(rows[k], rows[m]))._asdict()
         for k, m in combinations(range(len(carried)), 2)

@@ -49,6 +49,7 @@ def robot_arrays(robot: Robot, attachments: tuple[Attachment, ...] = ()) -> Robo
         elif _too_many_pieces(spec):
             whole.append(k)
     links = [piece.link for piece in robot.links]
+    self_only = [k for k, piece in enumerate(robot.links) if piece.self_only]
     rows = []
     for item in attachments:
         hand, T_link_hand = robot.hand(item.end_effector)
@@ -63,13 +64,13 @@ def robot_arrays(robot: Robot, attachments: tuple[Attachment, ...] = ()) -> Robo
         pairs += product(rows[k], rows[m])
     pairs = [*robot.self_collision_pairs, *pairs]
     sources = sources_digest(Path(geometry.__file__), Path(convex.__file__))
-    made_of = [f"{KERNELS_DIGEST} {sources} {links} {pairs}".encode()]
+    made_of = [f"{KERNELS_DIGEST} {sources} {links} {pairs} {self_only}".encode()]
     for spec in specs:
         made_of.append(f"{spec.kind} {spec.inflation} {spec.vertices.shape}".encode())
         made_of += (spec.half.tobytes(), spec.vertices.tobytes(), spec.T_owner_shape.tobytes())
 
     def arrays() -> dict[str, np.ndarray]:
-        made = robot_geometry(specs, links, pairs, whole)._asdict()
+        made = robot_geometry(specs, links, pairs, whole, self_only)._asdict()
         return made.pop("pieces")._asdict() | made
 
     found = cached_arrays("robot_geometry", b"".join(made_of), arrays)

@@ -17,7 +17,7 @@ def carried_pairs(robot: Robot, attachments: Sequence[Attachment]) -> list[tuple
         (i, k)
         for k, hands in enumerate(holding)
         for i, piece in enumerate(robot.links)
-        if piece.link not in hands
+        if piece.link not in hands and not piece.self_only
     ]
 
 

@@ -6,11 +6,11 @@ obstacles need no pairs.
 """
 
 from bisect import bisect_left
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import coal
 import numpy as np
@@ -87,10 +87,18 @@ class CollisionChecker:
         # links in order from the base, without it
         phases = list(enumerate(self._own.getBroadPhaseManagers()))[1:]
         links = [(k, phase.getManager(), phase.getCollisionObjects()) for k, phase in phases]
-        self._links = [link for link in links if link[1].size() > 0]
         objects = self._geometry.geometryObjects
+        hidden = {piece.name for piece in robot.links if piece.self_only}
+        # broad phases of links some of whose pieces are not compared with obstacles
+        self._parts: list[coal.DynamicAABBTreeCollisionManager] = []
+        if hidden:
+            links = [(k, *self._compared(k, manager, items, hidden)) for k, manager, items in links]
+        self._links = [link for link in links if link[1].size() > 0]
         self._pieces = [
-            item.name for k, *_ in self._links for item in objects if item.parentJoint == k
+            item.name
+            for k, *_ in self._links
+            for item in objects
+            if item.parentJoint == k and item.name not in hidden
         ]
         self._moving = [item for *_, items in self._links for item in items]
         self.links = len(self._links)
@@ -114,6 +122,8 @@ class CollisionChecker:
         values = self.robot.kinematics.joint_values(q)
         if pin.computeCollisions(self._model, self._data, self._own, values, True):
             return True
+        for part in self._parts:
+            part.update()
         return self._near_obstacles(self.outer)
 
     def in_collision_batch(self, configurations: np.ndarray) -> np.ndarray:
@@ -181,6 +191,27 @@ class CollisionChecker:
             self._model, self._data, self._geometry, self._own_results, values
         )
         self._own.update()
+        for part in self._parts:
+            part.update()
+
+    def _compared(self, joint: int, manager: Any, items: Any, hidden: Collection[str]) -> tuple:
+        """Return broad phase and objects of the pieces of a joint that obstacles are compared with.
+
+        Args:
+            joint: number of the joint.
+            manager: broad phase of all its pieces.
+            items: objects of all its pieces.
+            hidden: names of pieces that are not compared with obstacles.
+        """
+        pieces = [it.name for it in self._geometry.geometryObjects if it.parentJoint == joint]
+        if not hidden & set(pieces):
+            return manager, items
+        seen = [item for item, name in zip(items, pieces, strict=True) if name not in hidden]
+        part = coal.DynamicAABBTreeCollisionManager()
+        part.registerObjects(seen)
+        part.setup()
+        self._parts.append(part)
+        return part, seen
 
     def moved(self, q: np.ndarray, hull: np.ndarray) -> float:
         """Bound [m] on the motion of any point of the robot from q (n,) in a hull (c, n)."""

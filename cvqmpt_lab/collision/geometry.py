@@ -125,6 +125,7 @@ def robot_geometry(
     link: Sequence[int],
     pairs: Sequence[tuple[int, int]],
     whole: Collection[int] = (),
+    self_only: Collection[int] = (),
 ) -> RobotGeometry:
     """Cut a robot into pieces and make their trees of balls.
 
@@ -135,8 +136,9 @@ def robot_geometry(
         pairs: geometries to check against each other.
         whole: geometries that are not cut: one ball around each, which is checked exactly more
             often, instead of thousands.
+        self_only: geometries that are not checked against obstacles.
     """
-    bodies, body_pairs = _bodies(link, pairs)
+    bodies, body_pairs = _bodies(link, pairs, self_only)
     piece_specs: list[ShapeSpec] = []
     trees = sphere_trees(
         [
@@ -145,7 +147,8 @@ def robot_geometry(
         ]
     )
     rows = np.array([link[members[0]] for members in bodies], dtype=np.int64)
-    order = [b for b in np.argsort(-rows, kind="stable") if rows[b] != 0]
+    seen = [members[0] not in self_only for members in bodies]
+    order = [b for b in np.argsort(-rows, kind="stable") if rows[b] != 0 and seen[b]]
     return RobotGeometry(
         pieces=pack_shapes(piece_specs),
         sphere=trees.sphere,
@@ -160,7 +163,7 @@ def robot_geometry(
 
 
 def _bodies(
-    link: Sequence[int], pairs: Sequence[tuple[int, int]]
+    link: Sequence[int], pairs: Sequence[tuple[int, int]], self_only: Collection[int]
 ) -> tuple[list[list[int]], list[tuple[int, int]]]:
     """Group geometries by link and by what they are checked against.
 
@@ -171,10 +174,10 @@ def _bodies(
     for a, b in pairs:
         partners[a].add(b)
         partners[b].add(a)
-    groups: dict[tuple[int, frozenset[int]], list[int]] = {}
+    groups: dict[tuple[int, frozenset[int], bool], list[int]] = {}
     for g, row in enumerate(link):
-        groups.setdefault((row, frozenset(partners[g])), []).append(g)
-    bodies = [members for (row, others), members in groups.items() if row != 0 or others]
+        groups.setdefault((row, frozenset(partners[g]), g in self_only), []).append(g)
+    bodies = [members for (row, others, _), members in groups.items() if row != 0 or others]
     body_of = {g: b for b, members in enumerate(bodies) for g in members}
     paired = {(min(body_of[a], body_of[b]), max(body_of[a], body_of[b])) for a, b in pairs}
     return bodies, sorted(paired)

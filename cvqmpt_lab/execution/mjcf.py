@@ -8,7 +8,7 @@ own. Lengths are in metres.
 
 from collections.abc import Iterator, Mapping, Sequence
 from enum import IntFlag
-from itertools import combinations
+from itertools import combinations, product
 from typing import NamedTuple
 from xml.etree.ElementTree import Element, SubElement, tostring
 
@@ -147,7 +147,9 @@ def mjcf_of(robot: Robot, scene: Scene, physics: Physics | None = None) -> str:
     row, T_link_hand = robot.end_effector_link
     _placed(links[row], HAND_SITE, T_link_hand[:3, :3], T_link_hand[:3, 3], "site")
     contact = SubElement(root, "contact")
-    for first, second in unchecked_pairs(robot):
+    hidden = [f"piece_{k}" for k, piece in enumerate(robot.links) if piece.self_only]
+    standing = [f"obstacle_{k}" for k in range(len(scene.obstacles))]
+    for first, second in (*unchecked_pairs(robot), *product(hidden, standing)):
         SubElement(contact, "exclude", body1=first, body2=second)
     equality = SubElement(root, "equality") if followers else root
     for name, follower in followers.items():

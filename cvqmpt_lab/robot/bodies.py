@@ -16,8 +16,6 @@ from cvqmpt_lab.base.errors import (
     shown,
 )
 
-SHAPES = ("box", "cylinder", "sphere", "mesh")
-
 
 class NumbersOf(NamedTuple):
     """Numbers that an attribute of a collision body or joint must have."""
@@ -112,16 +110,17 @@ def _is_body(body: ElementTree.Element, where: str, thinnest: float = 1e-4) -> b
 
     A length of 0 beside others becomes `thinnest` [m]: solids need a volume.
     """
+    known = ("box", "cylinder", "sphere", "mesh")
     with located(where):
         shapes = [shape for geometry in body.findall("geometry") for shape in geometry]
         if not shapes:
             return False
         if len(shapes) != 1:
             raise InvalidInputError(
-                f"it has {len(shapes)} shapes; give one <geometry> with one of {', '.join(SHAPES)}"
+                f"it has {len(shapes)} shapes; give one <geometry> with one of {', '.join(known)}"
             )
         shape = shapes[0]
-        require_choice("shape", shape.tag, SHAPES)
+        require_choice("shape", shape.tag, known)
         _check_numbers([shape, *body.findall("origin")])
     sizes = [name for name in ("size", "radius", "length") if name in shape.attrib]
     lengths = [float(word) for name in sizes for word in shape.get(name, "").split()]

@@ -261,7 +261,7 @@ def _left_out_by_srdf(srdf: ElementTree.Element, links: Sequence[str]) -> tuple[
     off, enabled = default_off(srdf)
     known = {frozenset((pair.first, pair.second)) for pair in listed}
     return listed + tuple(
-        LeftOut(*pair, "SRDF: not compared by default")
+        LeftOut.by_default(*pair)
         for pair in combinations(links, 2)
         if off & set(pair) and frozenset(pair) not in enabled | known
     )

@@ -246,7 +246,13 @@ def _built(source: Mapping[str, Any], free: Sequence[str] = ()) -> Robot:
         )
     left_out = left_out_pairs(model, geometry, robot.links, robot.kinematics, urdf, given.srdf)
     pairs = checked_pairs(model, geometry, left_out)
-    return replace(robot, self_collision_pairs=pairs, left_out_pairs=left_out)
+    off = default_off(srdf_root(Path(given.srdf)))[0] if given.srdf else set()
+    owners = [model.frames[item.parentFrame].name for item in geometry.geometryObjects]
+    links = tuple(
+        replace(piece, self_only=True) if owner in off else piece
+        for piece, owner in zip(robot.links, owners, strict=True)
+    )
+    return replace(robot, links=links, self_collision_pairs=pairs, left_out_pairs=left_out)
 
 
 def _within_soft_limits(model: pin.Model, urdf: Urdf, planned: Sequence[str]) -> tuple[str, ...]:
@@ -372,9 +378,7 @@ def _without_uncompared(root: ElementTree.Element, srdf: str) -> list[str]:
             link.remove(body)
     lines = {
         "compared with nothing, by the SRDF": alone,
-        "compared with obstacles and loads, and with other links only where the SRDF enables it": (
-            partly
-        ),
+        "compared only with the links that the SRDF enables, not with obstacles": partly,
     }
     return [f"{what}: {few(names)}" for what, names in lines.items() if names]
 

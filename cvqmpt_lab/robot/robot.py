@@ -54,6 +54,11 @@ class LeftOut(NamedTuple):
     second: str
     reason: str  # one of those above
 
+    @classmethod
+    def by_default(cls, first: str, second: str) -> "LeftOut":
+        """Return a pair that an SRDF leaves out by the default of one of its links."""
+        return cls(first, second, "SRDF: not compared by default")
+
 
 @dataclass(frozen=True)
 class LinkGeometry:
@@ -63,6 +68,8 @@ class LinkGeometry:
     link: int  # pose row that it is fixed to: 0 is the world, j + 1 joint j
     T_link_geometry: np.ndarray  # (4, 4)
     vertices: np.ndarray  # (n, 3) corners of the hull in the geometry frame [m]
+    # whether it is compared with other links alone, not with obstacles and loads
+    self_only: bool = False
 
     def __post_init__(self) -> None:
         frozen((self.T_link_geometry, self.vertices))
@@ -278,7 +285,7 @@ class Robot:
     @property
     def nothing_collides(self) -> str:
         """Reason why no distance of the robot can be checked; "" if some moving link has a body."""
-        if any(piece.link > 0 for piece in self.links):
+        if any(piece.link > 0 and not piece.self_only for piece in self.links):
             return ""
         cure = ": --visual-as-collision takes the visual ones" if self.bodiless else ""
         return f"none of the moving links has a collision body{cure}"

@@ -25,8 +25,6 @@ from cvqmpt_lab.base.files import read_xml
 from cvqmpt_lab.base.values import FULL_TURN_RAD, scalar
 from cvqmpt_lab.robot.robot import Follower, HeldJoint
 
-log = logging.getLogger("cvqmpt")
-
 
 @dataclass(frozen=True)
 class Joint:
@@ -331,7 +329,7 @@ def _warn_of_lock(urdf: Urdf, lock: HeldJoint, held: Mapping[str, HeldJoint]) ->
         instead = f"stand at {follows} = {found.multiplier * leader.value + found.offset:g}"
     else:
         return
-    log.warning(
+    logging.getLogger("cvqmpt").warning(
         f"{urdf.path.name}: joint {lock.name!r} is locked at {lock.value:g}, where its link "
         f"{joint.child!r} stays; without this lock it would {instead}"
     )

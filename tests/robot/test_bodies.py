@@ -7,12 +7,16 @@ from refusals import refused
 from cvqmpt_lab.certificate.certificate import FaultKind, Verdict, certify
 from cvqmpt_lab.certificate.motion_check import DryRun
 from cvqmpt_lab.certificate.record import record, report_lines
+from cvqmpt_lab.collision.carried import carried_pairs
+from cvqmpt_lab.collision.exact import CollisionChecker
+from cvqmpt_lab.constraints.region_constraint import RegionConstraint
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import load_robot, robot_from_source
 from cvqmpt_lab.robot.source import ARMS
-from cvqmpt_lab.scene.scene import Scene, SceneObject, pose
+from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject, pose
 from cvqmpt_lab.scene.shapes import Box
 from cvqmpt_lab.search.result import JointPath
+from cvqmpt_lab.search.space import ConstrainedSpace
 from cvqmpt_lab.trajectory.trajectory import Motion
 
 ELBOW = '<link name="elbow"><collision>'
@@ -113,9 +117,32 @@ def test_an_srdf_switches_the_comparison_of_links_off_and_on(edited, tmp_path):
     assert "elbow" not in names and {"shoulder", "tool"} in pairs
     assert robot.notes == [
         "compared with nothing, by the SRDF: elbow",
-        "compared with obstacles and loads, and with other links only where the SRDF enables it: "
-        "wrist",
+        "compared only with the links that the SRDF enables, not with obstacles: wrist",
     ]
+    states = robot.random_configurations(np.random.default_rng(0), 300)
+    # the wrist alone is 0.1 m large, beside it the tool
+    place = robot.pose(states[0], "wrist") @ pose((0.0, 0.05, 0.0))
+    dot = SceneObject("dot", Box((0.01, 0.01, 0.01)), place)
+    plain = load_robot(edited(name="plain.urdf"), "tool")
+    for arm, touches in ((plain, True), (robot, False)):
+        checker = CollisionChecker(arm, Scene("dot", (dot,)))
+        assert checker.in_collision(states[0]) == touches
+        assert (checker.colliding_pair(states[0]) is not None) == touches
+        space = ConstrainedSpace(arm, Scene("dot", (dot,)), RegionConstraint(arm, ()))
+        assert space.valid_batch(states[:1])[0] != touches
+        assert ("wrist_0" in str(checker.nearest_obstacle(states[0]).pair)) == touches
+    # the pair of wrist and base is compared, and other links meet the obstacle
+    wall = Scene("wall", (SceneObject("wall", Box((0.02, 3.0, 3.0)), pose((0.5, 0.0, 0.0))),))
+    exact = CollisionChecker(robot, wall)
+    space = ConstrainedSpace(robot, wall, RegionConstraint(robot, ()))
+    truth = exact.in_collision_batch(states)
+    pairs = [str(exact.colliding_pair(q)) for q in states[truth]]
+    assert "tool_0 and wall" in pairs and "wrist_0 and wall" not in pairs
+    wrong = np.flatnonzero(space.valid_batch(states) == truth)
+    assert all(0.0 < exact.clearance(states[k]) < 1e-3 for k in wrong)
+    carried = Attachment("load", Box((0.1, 0.1, 0.1)), np.eye(4))
+    touched = [names[i] for i, _ in carried_pairs(robot, (carried,))]
+    assert "wrist" not in touched and "shoulder" in touched
 
 
 def test_unknown_parts_of_links_are_named(edited):
