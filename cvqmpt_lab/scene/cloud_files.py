@@ -53,7 +53,8 @@ def read_cloud(path: Path | str, scale: float = 1.0, posed: bool = False) -> Clo
         InvalidInputError: the file cannot be read, contradicts itself, has no finite point, has a
             pose of its own, or is evidently not in metres.
     """
-    readers = {**CLOUD_READERS, ".pcd": partial(_read_pcd, posed=posed)}
+    readers = dict(CLOUD_READERS)
+    readers[".pcd"] = partial(_read_pcd, posed=posed)
     with np.errstate(over="ignore"):
         points = scale * read_by_suffix(readers, path, "cloud").astype(np.float64)
     # axis by axis: 5 times as fast as by rows

@@ -279,11 +279,11 @@ def check_extent(
 def distance(item: SceneObject) -> float:
     """Return an obstacle's distance [m] from the origin: exact for boxes, else a lower bound."""
     shape, T = item.shape, item.T_world_object
-    if isinstance(shape, PointCloud | OccupancyMap):
-        of_map = isinstance(shape, OccupancyMap)
-        points = (shape.centres if of_map else shape.points) @ T[:3, :3].T + T[:3, 3]
-        around = 0.5 * math.sqrt(3.0) * shape.resolution + shape.padding if of_map else shape.radius
-        return max(float(np.linalg.norm(points, axis=1).min()) - around, 0.0)
+    if isinstance(shape, PointCloud):
+        return _nearest(shape.points, T, shape.radius)
+    if isinstance(shape, OccupancyMap):
+        around = 0.5 * math.sqrt(3.0) * shape.resolution + shape.padding
+        return _nearest(shape.centres, T, around)
     if isinstance(shape, Sphere):
         return max(math.dist(T[:3, 3], (0.0, 0.0, 0.0)) - shape.radius, 0.0)
     if isinstance(shape, ConvexMesh):
@@ -293,3 +293,9 @@ def distance(item: SceneObject) -> float:
     # the origin in the shape's frame, relative to the box of its corners
     beyond = np.abs(-T[:3, 3] @ T[:3, :3] - 0.5 * (low + high)) - 0.5 * (high - low)
     return float(np.linalg.norm(np.maximum(beyond, 0.0)))
+
+
+def _nearest(points: np.ndarray, T: np.ndarray, around: float) -> float:
+    """Return the least distance [m] of balls of a radius `around` points (m, 3) of frame T."""
+    away = np.linalg.norm(points @ T[:3, :3].T + T[:3, 3], axis=1)
+    return max(float(away.min()) - around, 0.0)

@@ -180,13 +180,10 @@ def _intrinsics(data: Any) -> Intrinsics:
         raise InvalidInputError(
             f"{name} is {K.tolist()}; it must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]"
         )
-    sides = [
-        _side(fields, *names, focal, centre)
-        for *names, focal, centre in (("width", "x", *K[0, [0, 2]]), ("height", "y", *K[1, [1, 2]]))
-    ]
-    (width, fx, cx), (height, fy, cy) = sides
+    width, fx, cx = _side(fields, "width", "x", K[0, 0], K[0, 2])
+    height, fy, cy = _side(fields, "height", "y", K[1, 1], K[1, 2])
     named = {"width": width, "height": height, "fx": fx, "fy": fy, "cx": cx, "cy": cy}
-    changed = not np.array_equal([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], K)
+    changed = (fx, fy, cx, cy) != (K[0, 0], K[1, 1], K[0, 2], K[1, 2])
     with located("with its roi and binning" if changed else ""):
         return from_plain(Intrinsics, named)
 
