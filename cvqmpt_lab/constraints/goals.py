@@ -295,7 +295,7 @@ def sample_goals(
         robot.kinematics,
         regions,
         robot_arrays(robot, problem.carried),
-        scene_arrays(problem.scene, reach_with(robot, problem.attachments), problem.clearance),
+        scene_arrays(problem.scene, reach_with(robot, problem.carried), problem.clearance),
         SAMPLE_MARGIN_M,
         seeds,
         rng.integers(len(seeds.configurations) - look + 1, size=(POSE_ATTEMPTS, max_poses)),
@@ -445,7 +445,7 @@ def _reached(
         robot.kinematics,
         regions,
         robot_arrays(robot, problem.carried),
-        scene_arrays(problem.scene, reach_with(robot, problem.attachments), problem.clearance),
+        scene_arrays(problem.scene, reach_with(robot, problem.carried), problem.clearance),
         SAMPLE_MARGIN_M,
         _seeds(robot, np.array(seeds), problem.goal_region.end_effector),
         # one attempt: Newton's method from the same seed ends the same way again

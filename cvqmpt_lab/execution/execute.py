@@ -4,7 +4,7 @@ Contacts in a simulation depend on the settings of its solver. An outcome theref
 it is the same at two contact times, see `agreed`.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any
@@ -21,6 +21,7 @@ from cvqmpt_lab.execution.simulation import (
     OPEN_FORCE_N,
     Contact,
     Controller,
+    Rest,
     Sample,
     Simulation,
 )
@@ -28,8 +29,9 @@ from cvqmpt_lab.geometry.polyline import nearest_places
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.scene.coal_shapes import loads_of
+from cvqmpt_lab.scene.coal_shapes import coal_shape, loads_of, shape_distance
 from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
+from cvqmpt_lab.scene.shapes import Shape
 from cvqmpt_lab.tasks.solve import TaskSolution
 from cvqmpt_lab.tasks.task import Grasp, HandPhase, Hold, Phase, Release
 from cvqmpt_lab.tasks.world import World
@@ -72,6 +74,7 @@ class Execution:
     drift_m: float | None = None  # of the load in the hand; None: it is welded, or there is none
     placed: bool | None = None  # whether the load ends at its place; None: it is not put down
     placed_off_m: float | None = None  # distance of the load from its place
+    arrival_rad: float = 0.0  # largest distance of a joint from the end of the motion [rad or m]
 
     @property
     def faults(self) -> list[str]:
@@ -86,6 +89,14 @@ class Execution:
             found.append(
                 f"the constraint is broken by {self.outside_rad:.2g} rad, {self.outside_m:.2g} m"
             )
+        # without a fault the hand stays within 3 mm, the position servo is 0.1 s behind (0.3 rad),
+        # and arms arrive within some mrad
+        if self.off_path_m > 0.02:
+            found.append(f"the hand is {1e3 * self.off_path_m:.0f} mm off its path")
+        if self.off_rad > 0.5:
+            found.append(f"the arm does not follow: a joint is {self.off_rad:.2g} rad behind")
+        if self.arrival_rad > 0.05:
+            found.append(f"the arm does not arrive: a joint ends {self.arrival_rad:.2g} rad away")
         if self.drift_m is not None and self.drift_m > lost_m:
             found.append("the load left the hand")
         if self.placed is False:
@@ -170,14 +181,18 @@ def execute_motion(
             f"the motion is of joints {', '.join(motion.joint_names)}, the problem's robot has "
             f"{', '.join(problem.robot.joint_names)}: give a motion of this robot"
         )
-    (load,) = problem.attachments or (None,)
+    if motion.times[0] != 0.0:  # of a part of a motion
+        motion = replace(motion, times=motion.times - motion.times[0])
+    loads = problem.attachments
     q = motion.positions[0]
-    physics = Physics(contact_time, welded=load)
+    physics = Physics(contact_time, welded=loads)
     if friction:
-        if load is None:
+        if len(loads) != 1:
             raise InvalidInputError(
-                "--hold friction: the problem has nothing in the hand; use --hold weld"
+                f"--hold friction: the problem has {len(loads)} things in the hand and fingers "
+                "hold one; use --hold weld"
             )
+        (load,) = loads
         T = problem.robot.pose(q) @ load.T_hand_object
         item = SceneObject(load.name, load.shape, T, mass=_mass(load))
         physics = Physics(contact_time, free=item)
@@ -185,11 +200,21 @@ def execute_motion(
     control.carry(loads_of(problem.attachments))
     world = Simulation(problem.robot, problem.scene, q, control, physics, friction)
     world.phase = problem.name
-    if load is not None:
-        ends = problem.robot.poses(motion.positions[[0, -1]])
-        world.rests = list((ends @ load.T_hand_object)[:, :3, 3])
+    if loads:
+        first, last = (
+            _rest(
+                world,
+                problem.scene,
+                [
+                    (x.shape, problem.robot.pose(end, x.end_effector) @ x.T_hand_object)
+                    for x in loads
+                ],
+            )
+            for end in motion.positions[[0, -1]]
+        )
+        world.rests = first, last
     if friction:
-        world.allowed = _hand_pairs(problem.robot, [LOAD_BODY])
+        world.allow(_hand_pieces(problem.robot), None)
         world.force = GRIP_FORCE_N
     world.hold(q, SETTLING_TIME_S)
     before = _in_hand(world) if friction else np.eye(4)
@@ -231,10 +256,12 @@ def execute_task(
     control = Controller(controller, start.arm)
     world = Simulation(start.arm, scene, task.start, control, physics, gripper=True)
     if load is not None:
-        world.rests = [
-            load.T_world_object[:3, 3],
-            solution.world.scene[load.name].T_world_object[:3, 3],
-        ]
+        ends = (start.scene, solution.world.scene)
+        first, last = (
+            _rest(world, one.without(load.name), [(load.shape, one[load.name].T_world_object)])
+            for one in ends
+        )
+        world.rests = first, last
     world.hold(task.start, SETTLING_TIME_S)
     q, parts = task.start, []
     before, drift = None, None  # pose of the load in the hand when grasped [m]; its drift [m]
@@ -286,9 +313,9 @@ def _move_fingers(
     world.force = GRIP_FORCE_N if closes else OPEN_FORCE_N
     if isinstance(phase, Hold):
         held = scene.articulation(phase.articulation).moves
-        world.allowed = _hand_pairs(arm, held)
+        world.allow(_hand_pieces(arm), held)
     elif isinstance(phase, Grasp) and load is not None:
-        world.allowed = _hand_pairs(arm, [LOAD_BODY])
+        world.allow(_hand_pieces(arm), None)
         item = Attachment(LOAD_BODY, load.shape, _in_hand(world), load.mass)
         world.controller.carry(loads_of([item]))
     else:
@@ -296,11 +323,31 @@ def _move_fingers(
     world.hold(q, 0.4)
 
 
-def _hand_pairs(arm: Robot, held: Iterable[str]) -> set[frozenset[str]]:
-    """Pairs of each piece of the hand's link, fingers included, with each held body."""
+def _hand_pieces(arm: Robot) -> list[str]:
+    """Names of the pieces of the hand's link, fingers included."""
     row = arm.end_effector_link[0]
-    hand = [piece.name for piece in arm.links if piece.link == row]
-    return {frozenset((piece, name)) for piece in hand for name in held}
+    return [piece.name for piece in arm.links if piece.link == row]
+
+
+def _rest(world: Simulation, scene: Scene, loads: Sequence[tuple[Shape, np.ndarray]]) -> Rest:
+    """Find what loads stand on: obstacles that they would enter if they were 5 mm lower.
+
+    Args:
+        world: the simulation, which numbers the obstacles.
+        scene: the obstacles.
+        loads: shapes and their poses (4, 4) [m].
+    """
+    down, supports = np.zeros((4, 4)), set()
+    down[2, 3] = 0.005
+    for shape, T in loads:
+        solid = coal_shape(shape)
+        for item in scene.obstacles:
+            other = coal_shape(item.shape), item.T_world_object
+            lowered = shape_distance(solid, T - down, *other)
+            # beside a wall, the distance stays the same
+            if lowered < min(0.0, shape_distance(solid, T, *other) - 0.0025):
+                supports.add(world.obstacles[item.name])
+    return Rest(loads[0][1][:3, 3], frozenset(supports))
 
 
 def _in_hand(world: Simulation) -> np.ndarray:
@@ -338,7 +385,7 @@ def _judged(
             if rows:
                 tilt = float(np.nanmax([tilt, np.abs(x[:, rows]).max()]))
     scene, first = world.scene, world.samples[0]
-    load = world.physics.free or world.physics.welded
+    load = world.physics.free or next(iter(world.physics.welded), None)
     if load is not None and first.T_world_load is not None:
         item = SceneObject(load.name, load.shape, first.T_world_load, obstacle=False)
         scene = scene.with_objects(item)
@@ -349,6 +396,7 @@ def _judged(
         seconds=float(world.data.time),
         off_path_m=off,
         off_rad=max(world.errors),
+        arrival_rad=world.errors[-1],
         outside_rad=float(outside[0]),
         outside_m=float(outside[1]),
         tilt_rad=tilt,

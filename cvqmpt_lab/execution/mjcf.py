@@ -52,7 +52,7 @@ class Physics(NamedTuple):
     # sliding joints of the gripper, each with the joint that it follows, or ""
     fingers: Mapping[str, str] = {}
     doors: tuple[str, ...] = ()  # articulations of the scene that can move
-    welded: Attachment | None = None  # load that is fixed to the hand
+    welded: tuple[Attachment, ...] = ()  # loads that are fixed to the hand
     free: SceneObject | None = None  # load that moves freely; it has a mass
 
     @property
@@ -162,11 +162,14 @@ def mjcf_of(robot: Robot, scene: Scene, physics: Physics | None = None) -> str:
             solref="0.004 1",
         )
     if physics is not None:
-        if physics.welded is not None:
-            T = T_link_hand @ physics.welded.T_hand_object
-            _add_load(links[row], assets, physics.welded, T)
+        for k, item in enumerate(physics.welded):
+            row, T_link_hand = robot.hand(item.end_effector)
+            name = f"{LOAD_BODY}_{k}" if k else LOAD_BODY
+            held = Body(name, row, T_link_hand @ item.T_hand_object, item.shape)
+            _add_load(links[row], assets, held, item.mass)
         if physics.free is not None:
-            part = _add_load(world, assets, physics.free, physics.free.T_world_object)
+            moving = Body(LOAD_BODY, 0, physics.free.T_world_object, physics.free.shape)
+            part = _add_load(world, assets, moving, physics.free.mass)
             SubElement(part, "freejoint", name=LOAD_BODY)
         _add_motors(root, robot, physics)
     return tostring(root, encoding="unicode")
@@ -216,13 +219,11 @@ def _with_doors(world: Element, scene: Scene, physics: Physics) -> dict[str, Ele
     return found
 
 
-def _add_load(
-    parent: Element, assets: Element, load: SceneObject | Attachment, T: np.ndarray
-) -> Element:
-    """Add the body of a load at pose T (4, 4) [m] in its parent."""
-    part = _placed(parent, LOAD_BODY, T[:3, :3], T[:3, 3])
-    geom = _add_shape(part, assets, Body(LOAD_BODY, 0, T, load.shape))
-    _touching(geom, ContactBit.LOAD, mass=load.mass or 0.0)
+def _add_load(parent: Element, assets: Element, load: Body, mass: float | None) -> Element:
+    """Add the body of a load of a mass [kg] in its parent; None: it has none."""
+    T = load.T_link_body
+    part = _placed(parent, load.name, T[:3, :3], T[:3, 3])
+    _touching(_add_shape(part, assets, load), ContactBit.LOAD, mass=mass or 0.0)
     return part
 
 
@@ -247,7 +248,8 @@ def _add_motors(root: Element, robot: Robot, physics: Physics) -> None:
     )
     # friction stiffer than the normal force, so that held objects hardly creep
     option.set("impratio", "20")
-    SubElement(option, "flag", multiccd="enable")
+    # links are excluded pair by pair; the filter would hide a load from the link before the last
+    SubElement(option, "flag", multiccd="enable", filterparent="disable")
     usual = SubElement(SubElement(root, "default"), "geom")
     usual.set("solref", f"{physics.contact_time} 1")
     motors, equality = SubElement(root, "actuator"), SubElement(root, "equality")

@@ -4,7 +4,7 @@ The gains are relative to the effort limits and the same for all arms: at an err
 a joint applies its full effort limit. Every controller keeps the arm's effort limits.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -86,6 +86,13 @@ class Contact(NamedTuple):
     time_s: float  # time of that depth
 
 
+class Rest(NamedTuple):
+    """Place at which a load stands before it is lifted, or after it is put down."""
+
+    place: np.ndarray  # (3,) position of the load [m]
+    supports: frozenset[int]  # geoms on which it stands there
+
+
 class Sample(NamedTuple):
     """State at one time of an execution."""
 
@@ -141,9 +148,14 @@ class Simulation:
         self._v = np.array([joint.dofadr[0] for joint in joints])
         self._motors = np.array([model.actuator(name).id for name in arm.joint_names])
         self._fingers = np.array([model.actuator(name).id for name in physics.fingers], dtype=int)
-        labels = {f"piece_{k}_geom": piece.name for k, piece in enumerate(robot.links)}
-        labels |= {f"obstacle_{k}_geom": item.name for k, item in enumerate(scene.obstacles)}
-        self.names = [labels.get(model.geom(k).name, LOAD_BODY) for k in range(model.ngeom)]
+        # numbers of geoms: a name may be that of a piece, an obstacle and the load
+        pieces = [model.geom(f"piece_{k}_geom").id for k in range(len(robot.links))]
+        fixed = [model.geom(f"obstacle_{k}_geom").id for k in range(len(scene.obstacles))]
+        self._pieces = {item.name: k for item, k in zip(robot.links, pieces, strict=True)}
+        self.obstacles = {item.name: k for item, k in zip(scene.obstacles, fixed, strict=True)}
+        self.loads = frozenset(range(model.ngeom)).difference(pieces, fixed)
+        labels = {k: name for names in (self._pieces, self.obstacles) for name, k in names.items()}
+        self.names = [labels.get(k, LOAD_BODY) for k in range(model.ngeom)]
         moving = [model.joint(name).qposadr[0] for name in arm.moving_joints]
         data.qpos[moving] = arm.kinematics.joint_values(q)
         held = {joint.name: joint.value for joint in arm.held_joints}
@@ -154,9 +166,9 @@ class Simulation:
         self.phase, self.source = "", arm.source
         self.samples: list[Sample] = []
         self.touched: dict[tuple[str, str], Contact] = {}
-        self.allowed: set[frozenset[str]] = set()  # pairs of names that may touch
-        # positions (3,) [m] of the load where it may touch its support
-        self.rests: list[np.ndarray] = []
+        self.allowed: set[frozenset[int]] = set()  # pairs of geoms that may touch
+        self.rests: tuple[Rest, Rest] | None = None  # where the load is taken and put down
+        self._lifted = False  # whether the load has left its first rest
         self.errors: list[float] = []  # largest |q_d - q| of each period [rad or m]
         self.saturated = 0  # periods in which an effort limit was reached
         self._periods = 0
@@ -175,7 +187,7 @@ class Simulation:
     @property
     def T_world_load(self) -> np.ndarray | None:
         """Pose (4, 4) [m] of the load; None: there is no load."""
-        if self.physics.free is None and self.physics.welded is None:
+        if self.physics.free is None and not self.physics.welded:
             return None
         body = self.data.body(LOAD_BODY)
         return rigid(body.xmat.reshape(3, 3), body.xpos)
@@ -189,7 +201,7 @@ class Simulation:
         }
 
     def follow(self, motion: Trajectory) -> None:
-        """Execute a motion of the arm."""
+        """Execute a motion of the arm, whose times may begin after 0."""
         times = np.arange(0.0, motion.duration + CONTROL_PERIOD_S, CONTROL_PERIOD_S)
         for state in zip(*motion.at(times), strict=True):
             self._step(JointState(*state))
@@ -209,24 +221,38 @@ class Simulation:
         data.ctrl[self._fingers] = self.force
         self.mujoco.mj_step(self.model, data, nstep=round(CONTROL_PERIOD_S / self.physics.step))
         self.errors.append(float(np.abs(data.qpos[self._q] - wanted.positions).max()))
-        for (first, second), depth in zip(data.contact.geom, -data.contact.dist, strict=True):
-            self._touch(self.names[first], self.names[second], float(depth))
+        self._lifted = self._lifted or not self._is_at(0)
+        for geoms, depth in zip(data.contact.geom.tolist(), -data.contact.dist, strict=True):
+            self._touch(frozenset(geoms), float(depth))
         if self._periods % 10 == 0:
             self.samples.append(
                 Sample(data.time, self.phase, self.source, self.q, self.doors, self.T_world_load)
             )
         self._periods += 1
 
-    def _touch(self, first: str, second: str, depth: float) -> None:
+    def allow(self, hand: Iterable[str], held: Iterable[str] | None) -> None:
+        """Let pieces of the hand touch these obstacles alone, or the load if `held` is None."""
+        touched = self.loads if held is None else [self.obstacles[name] for name in held]
+        self.allowed = {frozenset((self._pieces[name], k)) for name in hand for k in touched}
+
+    def _is_at(self, which: int) -> bool:
+        """Whether the load is within 2 cm of its first or its second rest."""
+        if self.rests is None:
+            return False
+        place = self.data.body(LOAD_BODY).xpos
+        return bool(np.linalg.norm(place - self.rests[which].place) < 0.02)
+
+    def _touch(self, geoms: frozenset[int], depth: float) -> None:
         """Record a contact of a penetration depth [m] unless the two bodies may touch."""
-        if depth < 0.0 or frozenset((first, second)) in self.allowed:
+        if depth < 0.0 or geoms in self.allowed:
             return
-        if LOAD_BODY in (first, second):
-            place = self.data.body(LOAD_BODY).xpos
-            # within 0.02 m of where it is grasped or put down
-            if any(np.linalg.norm(place - rest) < 0.02 for rest in self.rests):
+        if self.rests is not None and geoms & self.loads:
+            others, (first, last) = geoms - self.loads, self.rests
+            if others <= first.supports and not self._lifted:
                 return
-        pair = min(first, second), max(first, second)
+            if others <= last.supports and self._is_at(1):
+                return
+        pair = min(names := [self.names[k] for k in geoms]), max(names)
         if pair not in self.touched or depth > self.touched[pair].depth_m:
             self.touched[pair] = Contact(*pair, depth, self.data.time)
 

@@ -111,8 +111,18 @@ def _expanded(items: Any, folder: Path, where: str) -> tuple[Any, dict[str, list
         name = item.get("name")
         names = [name] if len(shapes) == 1 else [f"{name}/{piece}" for piece in range(len(shapes))]
         pieces[str(name)] = names
-        parts = zip(names, shapes, strict=True)
-        found.extend({**item, "name": name, "shape": shape} for name, shape in parts)
+        parts = [
+            {**item, "name": name, "shape": shape}
+            for name, shape in zip(names, shapes, strict=True)
+        ]
+        mass = item.get("mass")
+        if len(parts) > 1 and type(mass) in (float, int):  # of all pieces together
+            from cvqmpt_lab.scene.coal_shapes import coal_shape  # needed here alone
+
+            volumes = [coal_shape(shape).computeVolume() for shape in shapes]
+            for part, volume in zip(parts, volumes, strict=True):
+                part["mass"] = mass * volume / sum(volumes)
+        found.extend(parts)
     return found, pieces
 
 
