@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_arms import carried, gantry, pendulum, problem_of
+from small_arms import beside_a_half_turn, carried, gantry, pendulum, problem_of, turned
 
 from cvqmpt_lab.certificate.certificate import Verdict, certify
 from cvqmpt_lab.certificate.motion_check import dry_run
@@ -86,36 +86,6 @@ def test_a_hand_holds_only_what_a_region_keeps_at_it(tmp_path, play):
     assert found.valid == holds
     assert any("right_0 and plate" in text for text in found.reasons) == (not holds)
     assert ("1 also held by" in lines(problem, states)) == holds
-
-
-def turned(q):
-    """Quaternion (m, 4), scalar first with its own sign, of turns about z, y and x by q (m, 3)."""
-    half = 0.5 * np.atleast_2d(q).T
-    (a, b, c), (s, t, u) = np.cos(half), np.sin(half)
-    found = (
-        a * b * c + s * t * u,
-        a * b * u - s * t * c,
-        a * t * c + s * b * u,
-        s * b * c - a * t * u,
-    )
-    return np.array(found).T
-
-
-def beside_a_half_turn(cosine):
-    """A motion (2, 3) of 0.1 rad; the cosine of half the angle is least in its middle."""
-    rng, eye = np.random.default_rng(0), 1e-4 * np.eye(3)
-    for _ in range(3000):
-        q = rng.uniform(-2.5, 2.5, 3)
-        for _ in range(20):
-            gradient = (turned(q + eye)[:, 0] - turned(q - eye)[:, 0]) / 2e-4
-            q = q + gradient * (cosine - turned(q)[0, 0]) / (gradient @ gradient + 1e-12)
-        u, v = np.linalg.svd(gradient[None])[2][1:]
-        for angle in np.linspace(0.0, np.pi, 8):
-            along = 0.05 * (np.cos(angle) * u + np.sin(angle) * v)
-            ends = np.array([q - along, q + along])
-            if (np.abs(ends) < 2.8).all() and turned(ends)[:, 0].min() > cosine + 1.5e-4:
-                return ends
-    raise AssertionError("no such motion")
 
 
 @pytest.mark.parametrize("cosine", [-1e-4, 2e-3])

@@ -272,7 +272,10 @@ class Judge:
         w = poses[b] @ T_base @ np.array(region["T0_w"])
         displaced = np.linalg.inv(w) @ poses[k] @ T_e @ np.linalg.inv(np.array(region["Tw_e"]))
         turns = Rotation.from_matrix(displaced[:, :3, :3]).as_rotvec()
+        # at a half turn v and -v are the same rotation: both count
+        half = np.linalg.norm(turns, axis=1) > np.pi - 1e-6
         x = np.concatenate([displaced[:, :3, 3], turns], axis=1)
+        x = np.concatenate([x, x[half] * np.repeat([1.0, -1.0], 3)])
         free = np.array([[-np.inf, np.inf]] * 6)
         bounds = np.array(region["Bw"], dtype=float)
         lower, upper = np.where(np.isnan(bounds), free, bounds).T
