@@ -23,7 +23,6 @@ from cvqmpt_lab.base.errors import (
     shown,
 )
 from cvqmpt_lab.base.values import Array, FloatArray
-from cvqmpt_lab.robot.bodies import Prepared, prepare_bodies
 from cvqmpt_lab.robot.hulls import (
     checked_pairs,
     default_off,
@@ -53,10 +52,12 @@ from cvqmpt_lab.robot.source import (
 )
 from cvqmpt_lab.robot.urdf import (
     LOCKED,
+    Prepared,
     Urdf,
     check_turns,
     held_joints,
     one_coordinate_a_joint,
+    prepare_bodies,
     read_urdf,
 )
 
