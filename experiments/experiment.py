@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from cvqmpt_lab.base.errors import InvalidInputError, located, require_choice, whole_number
 from cvqmpt_lab.benchmarks.declarations import SUITES, Suite
 from cvqmpt_lab.benchmarks.suite import suite_named
-from cvqmpt_lab.external.door import is_external
+from cvqmpt_lab.external.names import is_external
 from cvqmpt_lab.planning.planners import PLANNERS, planner_named, require_fit
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.row import FailReason, ResultRow, RowKey, cell_text
@@ -83,6 +83,7 @@ class Experiment:
             "suite": suite_named(self.suite).name,
             "cutoff_s": self.budget.seconds,
             "iterations": self.budget.iterations,
+            **_cost_settings(self.budget),
             "backend": self.backend,
             **({"optimize": asdict(self.optimize)} if self.optimize else {}),
             **({"reach_rad": str(self.reach)} if self.reach else {}),
@@ -100,8 +101,14 @@ class Experiment:
             if budget is not None:
                 # an iteration takes less than 0.01 s
                 by_count = 0.01 * budget.iterations if budget.iterations else math.inf
-                longest += min(budget.seconds or math.inf, by_count)
+                # our operations take less time than those that the prices are of
+                longest += min(budget.seconds or math.inf, by_count, budget.cost or math.inf)
         return spare + times * longest
+
+
+def _cost_settings(budget: Budget) -> dict[str, object]:
+    """Return a budget's limit of cost and its prices; nothing where cost is not limited."""
+    return {} if budget.cost is None else {"cost_s": budget.cost, "prices_s": asdict(budget.prices)}
 
 
 class Run(NamedTuple):
@@ -195,15 +202,19 @@ def parts_of(profile: str) -> list[Part]:
     parts = []
     for name, amount in sorted(chosen, key=lambda each: each[1].late):
         suite = SUITES[name]
+        budget = Budget(seconds=amount.cutoff)
+        if amount.cost is not None:
+            budget = Budget(cost=amount.cost)
         experiment = Experiment(
             suite=name,
             problems=tuple(suite.problems[: amount.problems]),
             planners=amount.planners or planners_of(suite),
             seeds=tuple(range(amount.seeds)),
-            budget=Budget(seconds=amount.cutoff),
+            budget=budget,
         )
-        command = ["cvqmpt", "reproduce", name]
-        command += ["--seeds", str(amount.seeds), "--cutoff", f"{amount.cutoff:g}"]
+        command = ["cvqmpt", "reproduce", name, "--seeds", str(amount.seeds)]
+        limit = ("--cutoff", amount.cutoff) if amount.cost is None else ("--cost", amount.cost)
+        command += [limit[0], f"{limit[1]:g}"]
         command += [] if amount.problems is None else ["--problems", str(amount.problems)]
         command += [] if amount.planners is None else ["--planners", ",".join(amount.planners)]
         parts.append(Part(amount.folder or name, experiment, command))

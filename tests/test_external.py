@@ -11,7 +11,7 @@ from refusals import refused
 from cvqmpt_lab.benchmarks.place_task import single_goal_problem
 from cvqmpt_lab.experiments.experiment import Experiment
 from cvqmpt_lab.experiments.run import executor_for, run_experiment
-from cvqmpt_lab.external import door
+from cvqmpt_lab.external import door, names
 from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.planning.planners import planner_named
 from cvqmpt_lab.planning.warm_up import compile_kernels
@@ -92,7 +92,7 @@ def theirs(tmp_path_factory):
     (about / "METADATA").write_text(METADATA)
     (about / "top_level.txt").write_text("their_planners\n")
     (about / "entry_points.txt").write_text(ENTRY_POINTS)
-    caches = (door.external_planner, door._entry_points)
+    caches = (door.external_planner, names.entry_points)
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(folder)
         for cache in caches:

@@ -7,15 +7,14 @@ one of the goals with straight segments between its rows; None if it found no pa
 data come back from its process (`external.process`), so it cannot change the code that judges it.
 """
 
-from collections.abc import Collection
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
-from importlib import metadata
 from typing import Any
 
 import numpy as np
 
 from cvqmpt_lab.base.errors import InvalidInputError, one_line
+from cvqmpt_lab.external.names import distribution_of, entry_points
 from cvqmpt_lab.external.process import NoReply, PlannerProcess
 from cvqmpt_lab.geometry.polyline import cut, parts_within
 from cvqmpt_lab.problem import PlanningProblem
@@ -29,8 +28,6 @@ from cvqmpt_lab.search.planner_interface import (
     Uniform,
 )
 from cvqmpt_lab.search.result import JointPath, PlanStatus
-
-ENTRY_POINT_GROUP = "cvqmpt.planners"
 
 
 @dataclass(frozen=True)
@@ -65,6 +62,8 @@ class ExternalPlanner:
         try:
             if reason:
                 raise NoReply(reason)
+            if budget.seconds is None and budget.iterations is None:
+                raise NoReply("a budget of cost counts operations of ours: give seconds")
             limit = None if seconds is None else 2.0 * seconds + 0.5
             words, arrays = self.process.plan(budget, query.seed, seconds=limit)
             if "error" in words:
@@ -195,46 +194,15 @@ def external_planner(name: str) -> ExternalPlanner:
     """
     address, distribution = name, ""
     if ":" not in name:
-        entries = [entry for entry in _entry_points() if entry.name == name]
+        entries = [entry for entry in entry_points() if entry.name == name]
         if len(entries) != 1:
-            who = ", ".join(_distribution(entry) for entry in entries)
+            who = ", ".join(distribution_of(entry) for entry in entries)
             raise InvalidInputError(
                 f"planner {name!r} is in {len(entries)} distributions, {who}: keep one of them"
             )
-        address, distribution = entries[0].value, _distribution(entries[0])
+        address, distribution = entries[0].value, distribution_of(entries[0])
     module, _, attribute = address.partition(":")
     process = PlannerProcess(name, module, attribute)
     words = process.start()
     made_by = words.get("made_by") or distribution or words.get("origin")
     return ExternalPlanner(process, one_line(str(made_by)))
-
-
-def is_external(name: str) -> bool:
-    """Return whether a name has the form ``module:planner`` or is that of an entry point."""
-    return ":" in name or name in entry_point_names()
-
-
-def entry_point_names() -> list[str]:
-    """Names of the external planners that installed distributions declare."""
-    return sorted({entry.name for entry in _entry_points()})
-
-
-def refuse_clash(name: str, own: Collection[str]) -> None:
-    """Refuse a name that is in `own`, the planners of this package, and an entry point too."""
-    for entry in _entry_points():
-        if entry.name == name and name in own:
-            raise InvalidInputError(
-                f"planner {name!r} of {_distribution(entry)} has the name of one of ours: rename "
-                f"it in its entry points {ENTRY_POINT_GROUP}, or give its address {entry.value}"
-            )
-
-
-@lru_cache(maxsize=1)
-def _entry_points() -> tuple[metadata.EntryPoint, ...]:
-    """Entry points of external planners; a distribution that is found twice counts once."""
-    found = metadata.entry_points(group=ENTRY_POINT_GROUP)
-    return tuple({(entry.name, entry.value): entry for entry in found}.values())
-
-
-def _distribution(entry: metadata.EntryPoint) -> str:
-    return f"{entry.dist.name} {entry.dist.version}" if entry.dist else "an unknown distribution"

@@ -28,7 +28,7 @@ from cvqmpt_lab.search.planner_interface import (
     Stages,
     search,
 )
-from cvqmpt_lab.search.result import Budget, Counters, JointPath, PlanResult, PlanStatus
+from cvqmpt_lab.search.result import Budget, Counters, JointPath, PlanResult, PlanStatus, Timings
 from cvqmpt_lab.search.shortcut import Simplified, simplify
 from cvqmpt_lab.search.space import ConstrainedSpace
 
@@ -224,18 +224,30 @@ def _attempts(
         near: number of nearest goals that are searched first.
         clearance: whether certificates measure the smallest distance.
     """
-    space, plan = query.space, None
-    for part in query.one_by_one() if stages.goals_apart else (query,):
-        # results computed from the cloud for the first goal are used for the others
-        use_cache = observed.use_cache or plan is not None
-        proposal = stages.predict(part, replace(observed, use_cache=use_cache))
-        if stages.update is not None:
-            proposal = stages.update(part, proposal)
+    space, plan, ranking = query.space, None, Timings()
+    if stages.goals_apart and stages.rank_goals is not None:
+        goals, ranking = stages.rank_goals(query, observed)
+        query = replace(query, goals=goals)
+        # later predictions use what the ranking computed from the cloud
+        observed = replace(observed, use_cache=True)
+    proposals: dict[bytes, Proposal] = {}  # by goals
+    for tried, part in enumerate(_parts(query, stages), start=1):
+        proposal = proposals.get(part.goals.tobytes())
+        if proposal is None:
+            # results computed from the cloud for the first goal are used for the others
+            use_cache = observed.use_cache or plan is not None
+            proposal = stages.predict(part, replace(observed, use_cache=use_cache))
+            if stages.update is not None:
+                proposal = stages.update(part, proposal)
+            proposals[part.goals.tobytes()] = replace(proposal, timings=Timings(), vertices=0)
+            proposal = replace(proposal, timings=proposal.timings + ranking)
+            ranking = Timings()
         proposed = 1e3 * query.deadline.seconds
         _log.info("%s proposed after %.1f ms", proposal.distribution.name, proposed)
         searching = True
         while searching:
             plan = search(tree_search, part, proposal, near).after(plan)
+            plan = replace(plan, goals_tried=tried)
             _log.info("search ended after %.1f ms: %s", 1e3 * plan.seconds, plan.status)
             if plan.path is None:
                 yield _Attempt(plan, proposal)
@@ -253,6 +265,15 @@ def _attempts(
             searching = not plan.as_is and proposal.path is None
             # a search without iterations must use up the budget, too
             query.deadline.count()
+
+
+def _parts(query: Query, stages: Stages) -> Iterator[Query]:
+    """Yield a query for each search: of all goals, or of one goal after the other."""
+    if not stages.goals_apart:
+        yield query
+        return
+    for limit in stages.goal_limits or (None,):
+        yield from query.one_by_one(limit)
 
 
 def solve_many(

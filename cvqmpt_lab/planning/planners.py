@@ -11,12 +11,7 @@ from importlib import import_module
 
 from cvqmpt_lab.base.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegionChain
-from cvqmpt_lab.external.door import (
-    entry_point_names,
-    external_planner,
-    is_external,
-    refuse_clash,
-)
+from cvqmpt_lab.external.names import entry_point_names, is_external, refuse_clash
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.search.birrt import BiRRT
 from cvqmpt_lab.search.cell_trees import CellSearch
@@ -41,6 +36,17 @@ def _ompl(name: str, manifold: str, kpiece: bool = False) -> Method:
     return Method(name, build, needs_charts=manifold != "projected", grows=False)
 
 
+def _ompl_uniform(name: str) -> Method:
+    """Return the search of `ompl-cvq` with uniform samples."""
+
+    def build(problem: PlanningProblem, model: str) -> Stages:
+        from cvqmpt_lab.search.ompl_planners import GOAL_LIMIT, published_search
+
+        return Stages(search=published_search(), goals_apart=True, goal_limits=(GOAL_LIMIT,))
+
+    return Method(name, build, grows=False)
+
+
 def _by_name(methods: Iterable[Method]) -> dict[str, Method]:
     return {method.name: method for method in methods}
 
@@ -57,6 +63,7 @@ PLANNERS = _by_name(
         Method.simple("birrt-printed", search=BiRRT(reach=math.inf)),
         replace(Method.simple("cells", search=CellSearch()), grows=False),  # for narrow passages
         _ompl("ompl-projected", "projected"),
+        _ompl_uniform("ompl-uniform"),
         _ompl("atlas-rrt", "atlas"),
         _ompl("tb-rrt", "tangent-bundle"),
         _ompl("ompl-bkpiece", "projected", kpiece=True),
@@ -95,6 +102,8 @@ def planner_named(name: str, model: str | None = None, reach: float | None = Non
     refuse_clash(name, ours)
     found = ours.get(name) or _composed(name)
     if found is None and is_external(name):
+        from cvqmpt_lab.external.door import external_planner  # not needed for planners of ours
+
         planner = external_planner(name)
         found = Method(name, planner.stages, external=planner.made_by, grows=False)
     if found is None:

@@ -15,7 +15,6 @@ and checked as well. A path between both trees is then checked finely. If a moti
 between its states, the motion is removed from its tree and the search continues.
 """
 
-import time
 from dataclasses import dataclass
 from typing import Annotated, NamedTuple
 
@@ -47,7 +46,7 @@ from cvqmpt_lab.search.nearest import (
     nearest_index,
     nearest_node,
 )
-from cvqmpt_lab.search.planner_interface import Query, SamplingDistribution
+from cvqmpt_lab.search.planner_interface import Deadline, Query, SamplingDistribution
 from cvqmpt_lab.search.result import JointPath, PlanResult, Tree
 from cvqmpt_lab.search.space import ConstrainedSpace
 
@@ -310,7 +309,7 @@ class BiRRT:
         """Search a path from the query's start to any of its goals, see `Search`."""
         deadline = query.deadline
         growth = GrowingTrees(self, query, distribution)
-        path = growth.grow(np.inf, deadline.budget.iterations, deadline.clock)
+        path = growth.grow(deadline)
         trees = result_trees(growth.trees)
         return deadline.result(path, trees, distribution.name, growth.warning)
 
@@ -344,23 +343,25 @@ class GrowingTrees:
         self._distribution, self._drawn, self._next = distribution, first.copy(), 0
 
     def grow(
-        self, work: float, iterations: int | None = None, deadline: float = np.inf
+        self, deadline: Deadline, work: float = np.inf, iterations: float = np.inf
     ) -> JointPath | None:
-        """Grow until a limit of work, iterations or time is reached or the trees connect.
+        """Grow until the budget or another limit is reached or the trees connect.
 
         Args:
+            deadline: the budget.
             work: limit of the work of this call, in units of `ConstrainedSpace.work`.
-            iterations: limit of the draws of this call; None: no limit.
-            deadline: limit of `time.perf_counter()` [s].
+            iterations: limit of the draws of this call.
 
         Returns:
             A path that passed the fine check, or None.
         """
         arrays = self._space.arrays._replace(step=self._method.step)
         most = self._space.work + work
-        left = np.inf if iterations is None else iterations
+        left = min(iterations, deadline.iterations_left)
         part = 4 if work < np.inf else 16  # number of draws before work and clock are read
-        while left > 0 and self._space.work < most and time.perf_counter() < deadline:
+        if deadline.budget.cost is not None:
+            part = 1
+        while left > 0 and self._space.work < most and not deadline.late:
             if self._next == len(self._drawn):
                 # a copy, because draws are projected in place
                 count = int(min(self._batch, left))

@@ -10,7 +10,6 @@ Cells are those of `cell_grids`. Motions between nodes are checked finely when t
 path through both trees is a solution.
 """
 
-import time
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -52,7 +51,7 @@ from cvqmpt_lab.search.motion import (
     step_towards,
 )
 from cvqmpt_lab.search.nearest import index_new_nodes, nearest_node
-from cvqmpt_lab.search.planner_interface import Query, SamplingDistribution
+from cvqmpt_lab.search.planner_interface import Deadline, Query, SamplingDistribution
 from cvqmpt_lab.search.result import JointPath, PlanResult
 from cvqmpt_lab.search.work import search_work
 
@@ -206,24 +205,25 @@ class CellTrees:
         self._next = 0
 
     def grow(
-        self, work: float, iterations: int | None = None, deadline: float = np.inf
+        self, deadline: Deadline, work: float = np.inf, iterations: float = np.inf
     ) -> JointPath | None:
-        """Grow until a limit of work, iterations or time is reached or the trees connect.
+        """Grow until the budget or another limit is reached or the trees connect.
 
         Args:
+            deadline: the budget.
             work: limit of the work of this call, in units of `ConstrainedSpace.work`.
-            iterations: limit of the walks of this call; None: no limit.
-            deadline: limit of `time.perf_counter()` [s].
+            iterations: limit of the walks of this call.
 
         Returns:
             A path that passed the fine check, or None.
         """
         most = self._space.work + work
-        left = 2**62 if iterations is None else iterations
-        while self._space.work < most and left > 0 and time.perf_counter() < deadline:
+        left = min(iterations, deadline.iterations_left)
+        part = 64 if deadline.budget.cost is None else 1
+        while self._space.work < most and left > 0 and not deadline.late:
             if self._next == len(self._shifts):
                 self._draw(256)
-            last = min(self._next + min(left, 64), len(self._shifts))
+            last = min(self._next + int(min(left, part)), len(self._shifts))
             before = self._space.arrays.counters[ITERATIONS]
             status, self._next = grow_cells.unchecked(
                 self._space.arrays,
@@ -269,5 +269,5 @@ class CellSearch:
         The distribution is not used: walks start at nodes.
         """
         deadline, growth = query.deadline, CellTrees(query)
-        path = growth.grow(np.inf, deadline.budget.iterations, deadline.clock)
+        path = growth.grow(deadline)
         return deadline.result(path, result_trees(growth.trees), "cells")

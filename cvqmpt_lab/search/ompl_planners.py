@@ -1,6 +1,12 @@
-"""The paper's baselines from OMPL: RRTConnect on projected, atlas and tangent-bundle spaces.
+"""OMPL's planners: RRTConnect on projected, atlas and tangent-bundle spaces, and BKPIECE1.
 
-There is also BKPIECE1 on the projected space, with cells over the free rows of the constraint.
+The paper ran all of its planners in OMPL's RRTConnect: its baselines with OMPL's samples, CVQ-MPT
+with samples of the network. OMPL's Python binding takes no sampler, but RRTConnect calls the
+termination condition once in each iteration, then draws a sample, which the projected space
+projects: so the first projection after a termination condition is that of the sample. There, a
+sample of any distribution replaces it (`_Draws`).
+
+BKPIECE1 has cells over the free rows of the constraint.
 
 Only this file imports ompl. Projection, residual, Jacobian and state checks are the kernels that
 `birrt` uses; parameters are those of the published experiment code. Without a constraint, as in
@@ -8,7 +14,6 @@ some phases of tasks, all three baselines are RRTConnect in the joint space.
 """
 
 import math
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -17,10 +22,18 @@ from ompl import base as ob
 from ompl import geometric as og
 from ompl import util as ou
 
+from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.search.cell_grids import free_rows
-from cvqmpt_lab.search.motion import EXTENSIONS, ITERATIONS, NEWTON_ITERATIONS
+from cvqmpt_lab.search.motion import (
+    DRAW_NEWTON_ITERATIONS,
+    DRAW_PROJECTIONS,
+    EXTENSIONS,
+    ITERATIONS,
+    NEWTON_ITERATIONS,
+    PROJECTIONS,
+)
 from cvqmpt_lab.search.planner_interface import Query, SamplingDistribution
-from cvqmpt_lab.search.result import JointPath, PlanResult, PlanStatus
+from cvqmpt_lab.search.result import Budget, JointPath, PlanResult, PlanStatus
 from cvqmpt_lab.search.space import ConstrainedSpace
 
 ou.setLogLevel(ou.LogLevel.LOG_NONE)
@@ -29,11 +42,16 @@ OMPL_STEP_RAD = 0.05  # step along the manifold, delta in OMPL
 
 
 class _Manifold(ob.Constraint):
-    """The space's constraint for OMPL; projection is the Newton loop of Algorithm 1."""
+    """The space's constraint for OMPL; projection is the Newton loop of Algorithm 1.
 
-    def __init__(self, space: ConstrainedSpace) -> None:
+    Args:
+        space: the planning space.
+        draws: samples in place of those of OMPL; None: OMPL draws.
+    """
+
+    def __init__(self, space: ConstrainedSpace, draws: "_Draws | None" = None) -> None:
         super().__init__(space.robot.dof, space.dim, space.arrays.tolerance)
-        self._space = space
+        self._space, self._draws = space, draws
 
     def function(self, x: np.ndarray, out: np.ndarray) -> None:
         """Write F(x) at a configuration x (n,)."""
@@ -45,12 +63,67 @@ class _Manifold(ob.Constraint):
         out[:, :] = self._space.residual_and_jacobian(np.array(x), full=True)[1]
 
     def project(self, x: np.ndarray) -> bool:
-        """Project x (n,) in place; True on success."""
+        """Project x (n,) in place, or a sample in its place; True on success."""
+        draws, counters = self._draws, self._space.arrays.counters
+        if draws is None or not draws.due:
+            return self._project(x)
+        projections, steps = counters[PROJECTIONS], counters[NEWTON_ITERATIONS]
+        for _ in range(100 if draws.free else 1):
+            x[:] = draws.next()
+            projected = self._project(x)
+            if projected and (not draws.free or self._space.valid(np.array(x))):
+                break
+        counters[DRAW_PROJECTIONS] += counters[PROJECTIONS] - projections
+        counters[DRAW_NEWTON_ITERATIONS] += counters[NEWTON_ITERATIONS] - steps
+        return projected
+
+    def _project(self, x: np.ndarray) -> bool:
+        if not self._space.dim:
+            return True
         q = np.array(x)
         if not self._space.project(q):
             return False
         x[:] = q
         return True
+
+
+class _Draws:
+    """Samples of a distribution for a search of OMPL.
+
+    Samples outside the limits are moved to the limits, as OMPL does with its projected ones. A
+    sample that is not finite, or farther outside than a joint's whole range, is replaced by a
+    uniform one.
+    """
+
+    def __init__(self, distribution: SamplingDistribution, query: Query, free: bool) -> None:
+        self.due = False  # whether the next projection is that of a sample
+        self.free = free  # whether samples in collision are drawn again
+        self.count = self.replaced = 0  # number of samples, and of replaced ones
+        self._distribution, self._query = distribution, query
+        self._drawn: list[np.ndarray] = []
+
+    def next(self) -> np.ndarray:
+        """Return the next sample (n,) [rad or m]."""
+        self.due = False
+        self.count += 1
+        uniform, rng = self._query.uniform, self._query.rng
+        if not self._drawn:
+            self._drawn = list(self._distribution.sample(rng, 64)[::-1])
+        q = self._drawn.pop()
+        inside = np.clip(q, uniform.lower, uniform.upper)
+        # false for a sample that is not a number
+        near = np.abs(q - inside) <= uniform.upper - uniform.lower
+        if not near.all():
+            self.replaced += 1
+            return uniform.sample(rng, 1)[0]
+        return inside
+
+    @property
+    def fallback(self) -> str:
+        """Return the number of samples that uniform ones replaced, in words, or ""."""
+        if not self.replaced:
+            return ""
+        return f"uniform in place of {self.replaced} of {self.count} draws, which cannot be used"
 
 
 class _FreeRows(ob.ProjectionEvaluator):
@@ -89,51 +162,63 @@ class _FreeRows(ob.ProjectionEvaluator):
 
 @dataclass(frozen=True)
 class OmplSearch:
-    """RRTConnect, or BKPIECE1, on one of OMPL's constrained state spaces.
-
-    OMPL 2.0.1 accepts no sampler: the distribution given to `search` is not used, and the result
-    states the one that was.
-    """
+    """RRTConnect, or BKPIECE1, on one of OMPL's constrained state spaces."""
 
     manifold: str  # "projected", "atlas" or "tangent-bundle"
     kpiece: bool = False  # BKPIECE1 with cells over the free rows, in place of RRTConnect
+    # whether the distribution given to `search` is used, on the projected space; False: OMPL draws
+    sampled: bool = False
+    # whether samples that cannot be projected or are in collision are drawn again
+    free_draws: bool = False
+    # [rad] longest motion towards a sample: a longer one ends there. inf: a motion adds a node at
+    # its sample or none, as published (13.07, more than the Panda's joint space). None: OMPL's
+    # default, a fifth of the extent of the joint space
+    range: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.sampled and (self.manifold != "projected" or self.kpiece):
+            raise InvalidInputError(
+                "samples of a distribution: only RRTConnect on the projected space takes them"
+            )
 
     def search(self, query: Query, distribution: SamplingDistribution) -> PlanResult:
         """Search a path from the query's start to any of its goals, see `Search`."""
         ou.RNG.setSeed(int(query.rng.integers(1, 2**31)))
-        run = _Run(self.manifold, query, self.kpiece)
+        draws = _Draws(distribution, query, self.free_draws) if self.sampled else None
+        run = _Run(self, query, draws)
         status, path = run.run()
+        sampler = "atlas-charts" if run.charts else "uniform"
         return PlanResult(
             status=status,
             path=path,
             seconds=query.deadline.seconds,
             counters=query.deadline.counters,
             vertices=run.vertices,
-            sampler="atlas-charts" if run.charts else "uniform",
+            sampler=sampler if draws is None else distribution.name,
+            fallback="" if draws is None else draws.fallback,
+            waypoints=run.waypoints,
+            roots=run.roots,
         )
+
+
+def published_search(range: float = math.inf, free_draws: bool = False) -> OmplSearch:
+    """Return the search of the paper's experiments with a learned sampler, see `OmplSearch`."""
+    return OmplSearch("projected", sampled=True, range=range, free_draws=free_draws)
+
+
+# limits of the published code: of the search for one goal, and of MPNet for two of its states
+GOAL_LIMIT = Budget(cost=2.5)
+PAIR_LIMIT = Budget(cost=5.0)
 
 
 class _Run:
     """The OMPL objects of one planning run."""
 
-    def __init__(self, manifold: str, query: Query, kpiece: bool = False) -> None:
+    def __init__(self, method: OmplSearch, query: Query, draws: _Draws | None) -> None:
         space = self._space = query.space
-        self._deadline = query.deadline
-        if space.dim:
-            self._states = _state_space(manifold, _joint_space(space), _Manifold(space))
-            information = (
-                ob.TangentBundleSpaceInformation
-                if manifold == "tangent-bundle"
-                else ob.ConstrainedSpaceInformation
-            )
-        else:
-            self._states, information = _joint_space(space), ob.SpaceInformation
-            fraction = OMPL_STEP_RAD / self._states.getMaximumExtent()
-            self._states.setLongestValidSegmentFraction(fraction)
-        self.charts = space.dim > 0 and manifold != "projected"
-        self._information = information(self._states)
-        self._information.setStateValidityChecker(_validity(space))
-        self._information.setup()
+        self._deadline, self._draws = query.deadline, draws
+        self._states, self._information = _state_spaces(space, method.manifold, draws)
+        self.charts = space.dim > 0 and method.manifold != "projected"
         self._problem = ob.ProblemDefinition(self._information)
         self._moved: dict[bytes, np.ndarray] = {}  # projected start or goal -> the given one
         # a single state, because the binding never frees the memory of one
@@ -143,13 +228,16 @@ class _Run:
         for q in query.goals:
             goal.addState(self._state(self._inside(q)))
         self._problem.setGoal(goal)
-        self._planner = (og.BKPIECE1 if kpiece else og.RRTConnect)(self._information)
-        if kpiece:
+        self._planner = (og.BKPIECE1 if method.kpiece else og.RRTConnect)(self._information)
+        if method.range is not None:
+            self._planner.setRange(min(method.range, 2.0 * self._states.getMaximumExtent()))
+        if method.kpiece:
             self._projection = _FreeRows(self._states, space)  # OMPL does not keep it alive
             self._planner.setProjectionEvaluator(self._projection)
         self._planner.setProblemDefinition(self._problem)
         self._planner.setup()
-        self.vertices = 0
+        self.vertices = self.roots = 0
+        self.waypoints: np.ndarray | None = None  # states of the solution that OMPL stored
 
     def _inside(self, q: np.ndarray) -> np.ndarray:
         """Return a configuration, or its projection if it is outside the tightened bounds.
@@ -168,26 +256,20 @@ class _Run:
 
     def _state(self, q: np.ndarray):
         """Return an OMPL state at q with its chart; copy it before the next call."""
-        if self._space.dim:
-            self._given.copy([float(x) for x in q])
-        else:
-            for i, x in enumerate(q):
-                self._given[i] = float(x)
+        _write(q, self._given)
         if self.charts:
             self._states.anchorChart(self._given)
         return self._given
 
     def run(self) -> tuple[PlanStatus, JointPath | None]:
         """Search until a path passes the fine check or the budget is spent."""
-        deadline, budget = self._deadline, self._deadline.budget
-        steps = 0
+        deadline, draws, counters = self._deadline, self._draws, self._space.arrays.counters
 
         def spent() -> bool:
-            nonlocal steps
-            steps += 1
-            late = time.perf_counter() >= deadline.clock
-            late = late or (budget.iterations is not None and steps > budget.iterations)
-            self._space.arrays.counters[ITERATIONS] += not late
+            if draws is not None:
+                draws.due = True
+            late = deadline.spent() is not None
+            counters[ITERATIONS] += not late
             return late
 
         while True:
@@ -196,6 +278,7 @@ class _Run:
             self._planner.getPlannerData(data)
             self.vertices += data.numVertices()
             roots = data.numStartVertices() + data.numGoalVertices()
+            self.roots += roots
             self._space.arrays.counters[EXTENSIONS] += data.numVertices() - roots
             if not self._problem.hasExactSolution():
                 break
@@ -204,8 +287,7 @@ class _Run:
                 return PlanStatus.SOLVED, path
             self._problem.clearSolutionPaths()
             self._planner.clear()
-        late = budget.iterations is None or steps <= budget.iterations
-        return PlanStatus.TIMEOUT if late else PlanStatus.ITERATION_LIMIT, None
+        return deadline.spent() or PlanStatus.NO_PATH, None
 
     def _dense_path(self) -> JointPath | None:
         """Return the solution with projected states every OMPL_STEP_RAD, or None if it fails.
@@ -213,15 +295,74 @@ class _Run:
         The path must pass the fine check.
         """
         solution = self._problem.getSolutionPath()
+        self.waypoints = np.array(_states_of(solution, self._space.robot.dof))
         solution.interpolate()
-        joints = range(self._space.robot.dof)
-        given = [solution.getState(i) for i in range(solution.getStateCount())]
-        states = [np.array([state[j] for j in joints]) for state in given]
+        states = _states_of(solution, self._space.robot.dof)
         if not all(self._space.project(q) for q in states[1:-1]):
             return None
         first, last = (self._moved.get(q.tobytes()) for q in (states[0], states[-1]))
         whole = [q for q in (first, *states, last) if q is not None]
         return self._space.checked_path(np.array(whole))[0]
+
+
+def simplified_by_ompl(space: ConstrainedSpace, waypoints: np.ndarray) -> JointPath:
+    """Return a path after OMPL's own simplification and interpolation, as the published code does.
+
+    On a manifold it removes states and joins near ones; it makes no shortcuts between states.
+
+    Args:
+        space: checks and projects; its counts include this work.
+        waypoints: states that a search of OMPL stored (m, n) [rad or m].
+    """
+    states, information = _state_spaces(space, "projected")
+    path, state = og.PathGeometric(information), states.allocState()
+    for q in waypoints:
+        _write(q, state)
+        path.append(state)
+    og.PathSimplifier(information).simplifyMax(path)
+    path.interpolate()
+    return JointPath(np.array(_states_of(path, space.robot.dof)))
+
+
+def _states_of(path: og.PathGeometric, n: int) -> list[np.ndarray]:
+    """Return the states of a path of OMPL, each (n,) [rad or m]."""
+    given = [path.getState(i) for i in range(path.getStateCount())]
+    return [np.array([state[j] for j in range(n)]) for state in given]
+
+
+def _write(q: np.ndarray, state) -> None:
+    """Write a configuration q (n,) [rad or m] into a state of OMPL."""
+    if hasattr(state, "copy"):
+        state.copy([float(x) for x in q])
+    else:
+        for i, x in enumerate(q):
+            state[i] = float(x)
+
+
+def _state_spaces(space: ConstrainedSpace, manifold: str, draws: _Draws | None = None):
+    """Return OMPL's state space with a step of OMPL_STEP_RAD, and its space information.
+
+    Args:
+        space: the planning space. Without a constraint the states are those of the joint space,
+            but for draws, which need a projection.
+        manifold: a key of OMPL_STATE_SPACES.
+        draws: samples in place of those of OMPL.
+    """
+    if space.dim or draws is not None:
+        constraint = _Manifold(space, draws)
+        states = _state_space(manifold, _joint_space(space), constraint)
+        kind = (
+            ob.TangentBundleSpaceInformation
+            if manifold == "tangent-bundle"
+            else ob.ConstrainedSpaceInformation
+        )
+    else:
+        states, kind = _joint_space(space), ob.SpaceInformation
+        states.setLongestValidSegmentFraction(OMPL_STEP_RAD / states.getMaximumExtent())
+    information = kind(states)
+    information.setStateValidityChecker(_validity(space))
+    information.setup()
+    return states, information
 
 
 def _validity(space: ConstrainedSpace) -> Callable[..., bool]:

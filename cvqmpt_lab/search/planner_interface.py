@@ -159,6 +159,20 @@ class Deadline:
         """Work done so far."""
         return self._space.counters_since(self._counters)
 
+    @property
+    def iterations_left(self) -> float:
+        """Number of iterations that are left; inf: no limit."""
+        limit = self.budget.iterations
+        return np.inf if limit is None else limit - self.counters.iterations
+
+    @property
+    def late(self) -> bool:
+        """Whether no seconds or no cost are left."""
+        if time.perf_counter() >= self.clock:
+            return True
+        cost = self.budget.cost
+        return cost is not None and self.counters.cost(self.budget.prices) >= cost
+
     def count(self, iterations: int = 1) -> None:
         """Count iterations that no search counts."""
         self._space.arrays.counters[ITERATIONS] += iterations
@@ -170,18 +184,20 @@ class Deadline:
             return PlanStatus.TIMEOUT
         if iterations is not None and self.counters.iterations >= iterations:
             return PlanStatus.ITERATION_LIMIT
-        return None
+        return PlanStatus.COST_LIMIT if self.late else None
 
     def rest(self, share: float = 1.0) -> Budget:
         """Return a share of the whole budget, at most what is left of it; call `spent` first."""
-        seconds, iterations = self.budget.seconds, self.budget.iterations
+        seconds, iterations, cost = self.budget.seconds, self.budget.iterations, self.budget.cost
         if seconds is not None:
             # `Budget` refuses 0 seconds
             seconds = max(min(share * seconds, seconds - self.seconds), 1e-3)
         if iterations is not None:
             left = iterations - self.counters.iterations
             iterations = max(min(math.ceil(share * iterations), left), 1)
-        return Budget(seconds, iterations)
+        if cost is not None:
+            cost = max(min(share * cost, cost - self.counters.cost(self.budget.prices)), 1e-9)
+        return replace(self.budget, seconds=seconds, iterations=iterations, cost=cost)
 
     def result(
         self, path: JointPath | None, trees: tuple[Tree, Tree], sampler: str, detail: str = ""
@@ -204,6 +220,7 @@ class Deadline:
             sampler=sampler,
             detail=detail,
             trees=trees,
+            roots=sum(int((tree.parent < 0).sum()) for tree in trees),
         )
 
 
@@ -218,6 +235,7 @@ class Query:
     rng: np.random.Generator
     seed: int = 0  # seed of `rng`, for planners with another random number generator
     share: float = 1.0  # share of the budget for one search
+    limit: Budget | None = None  # of one search; None: the share of the budget
 
     @classmethod
     def of(
@@ -246,10 +264,10 @@ class Query:
         changed = replace(self, **changes)
         return replace(changed, deadline=Deadline(budget, changed.space))
 
-    def one_by_one(self) -> list["Query"]:
-        """Return a query for each goal, each with an equal share of the budget."""
-        share = 1.0 / len(self.goals)
-        return [replace(self, goals=goal[None], share=share) for goal in self.goals]
+    def one_by_one(self, limit: Budget | None = None) -> list["Query"]:
+        """Return a query for each goal, with a limit or an equal share of the budget."""
+        share = 1.0 if limit is not None else 1.0 / len(self.goals)
+        return [replace(self, goals=goal[None], share=share, limit=limit) for goal in self.goals]
 
     @property
     def uniform(self) -> Uniform:
@@ -318,6 +336,11 @@ class Stages:
     path_source: PathSource | None = None
     # whether goals are tried one after the other, with a separate prediction for each
     goals_apart: bool = False
+    # limits of the searches for each of these goals: all goals are tried with the first one, then
+    # all again with the second one, and so on; empty: an equal share of the budget
+    goal_limits: tuple[Budget, ...] = ()
+    # returns the goals (k, n) in the order in which they are tried, and the time that this took
+    rank_goals: Callable[[Query, Observation], tuple[np.ndarray, Timings]] | None = None
 
 
 def search(
@@ -340,17 +363,21 @@ def search(
     elif (status := proposal.failure or deadline.spent()) is not None:
         result = PlanResult(status, None, 0.0, Counters(), 0, sampler)
     else:
-        vertices = 0
+        vertices = roots = 0
         parts = [(query.goals, 1.0)]  # goals, and share of the budget
         if 0 < near < len(query.goals):
             parts.insert(0, (query.nearest_goals(near), near_share))
         for goals, share in parts:
-            part = query.limited(deadline.rest(share * query.share), goals=goals)
+            budget = deadline.rest(share * query.share)
+            if query.limit is not None:
+                budget = budget.within(query.limit)
+            part = query.limited(budget, goals=goals)
             result = method.search(part, proposal.distribution)
             vertices += result.vertices
+            roots += result.roots
             if result.path is not None or deadline.spent() is not None:
                 break
-        result = replace(result, vertices=vertices)
+        result = replace(result, vertices=vertices, roots=roots)
     return replace(
         result,
         seconds=deadline.seconds,

@@ -17,8 +17,6 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import TypeAlias
 
-import numpy as np
-
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.search.anytime import informed_roadmap_path
 from cvqmpt_lab.search.birrt import BiRRT, GrowingTrees, result_trees
@@ -80,6 +78,7 @@ class Portfolio(BiRRT):
             vertices=run.vertices,
             sampler=by,
             trees=result_trees(run.trees.trees),
+            roots=1 + len(query.goals),
             detail=run.trees.warning,
             fallback="" if by == self.name else run.fallback,
         )
@@ -103,20 +102,20 @@ class _Run:
     def turns(self) -> Iterator[Turn]:
         """Yield one turn after another; the caller stops at a path or when the budget is spent."""
         method, began, trees = self._method, self._space.work, self._uniform.name
-        yield trees, self._grow(self.trees, np.inf, method.first)
+        yield trees, self.trees.grow(self._query.deadline, iterations=method.first)
         if method.roadmap is None:
             self.fallback = "birrt: no roadmap is made of closed chains"
         elif len(method.roadmap.nodes) < 2:
             self.fallback = f"birrt: {len(method.roadmap.nodes)} nodes are no roadmap"
         else:
             yield from self._roadmap_turns(method.roadmap)
-        yield trees, self._grow(self.trees, began + method.alone - self._space.work)
+        yield trees, self.trees.grow(self._query.deadline, began + method.alone - self._space.work)
         cells, others = CellTrees(self._query), self._others
         while True:
-            found = self._grow(cells, method.alone)
+            found = cells.grow(self._query.deadline, method.alone)
             self._others = others + int(cells.trees.size.sum())
             yield "cells", found
-            yield trees, self._grow(self.trees, method.alone)
+            yield trees, self.trees.grow(self._query.deadline, method.alone)
 
     def _roadmap_turns(self, roadmap: Roadmap) -> Iterator[Turn]:
         """Yield the roadmap's two turns, and that of the trees between them."""
@@ -143,15 +142,7 @@ class _Run:
                     nodes, near.covariance, self._query.uniform, 0.3, trees
                 )
                 self.trees.draw_from(around, nodes)
-                yield trees, self._grow(self.trees, method.between)
-
-    def _grow(
-        self, trees: GrowingTrees | CellTrees, work: float, most: int | None = None
-    ) -> JointPath | None:
-        """Grow trees within the budget, a limit of work and one of `most` iterations."""
-        left = self._query.deadline.rest().iterations
-        iterations = min((count for count in (left, most) if count is not None), default=None)
-        return trees.grow(work, iterations, self._query.deadline.clock)
+                yield trees, self.trees.grow(self._query.deadline, method.between)
 
 
 def spread_nodes(problem: PlanningProblem, model: str, draw: int | None = None) -> Roadmap:

@@ -10,7 +10,7 @@ import numpy as np
 
 from cvqmpt_lab.base.errors import InvalidInputError, require_kind, shown, whole_number
 from cvqmpt_lab.geometry.polyline import evenly_along, step_lengths
-from cvqmpt_lab.search.work import search_work
+from cvqmpt_lab.search.work import PRICES, Prices, search_work
 
 
 class PlanStatus(StrEnum):
@@ -22,6 +22,7 @@ class PlanStatus(StrEnum):
     SOLVED = "solved"
     TIMEOUT = "timeout"
     ITERATION_LIMIT = "iteration_limit"
+    COST_LIMIT = "cost_limit"
     NO_GOAL = "no_goal"
     INVALID_START = "invalid_start"
     INVALID_GOAL = "invalid_goal"
@@ -34,30 +35,45 @@ class PlanStatus(StrEnum):
 
 @dataclass(frozen=True)
 class Budget:
-    """Limit of a search in seconds, in iterations, or both: the first one ends it.
+    """Limit of a search in seconds, iterations or cost, or several: the first one ends it.
 
     Without seconds, results repeat bit for bit.
     """
 
     seconds: float | None = None
     iterations: int | None = None
+    cost: float | None = None  # price of state checks, projections and Newton steps [s]
+    prices: Prices = PRICES["published"]
 
     def __post_init__(self) -> None:
-        if self.seconds is None and self.iterations is None:
-            raise InvalidInputError("a budget needs seconds, iterations or both")
+        if self.seconds is None and self.iterations is None and self.cost is None:
+            raise InvalidInputError("a budget needs seconds, iterations or both, or a cost")
         if self.iterations is not None:
             # json represents larger numbers inexactly
             whole = whole_number("budget iterations", self.iterations, 1, 2**53)
             object.__setattr__(self, "iterations", whole)
-        if self.seconds is not None and not (isinstance(self.seconds, Real) and self.seconds > 0):
-            raise InvalidInputError(f"budget seconds {shown(self.seconds)}: give a number above 0")
+        for name in ("seconds", "cost"):
+            value: Any = getattr(self, name)
+            if value is not None and not (isinstance(value, Real) and float(value) > 0.0):
+                raise InvalidInputError(f"budget {name} {shown(value)}: give a number above 0")
 
     def share(self, fraction: float) -> "Budget":
         """Return a fraction of this budget, at least one iteration."""
-        return Budget(
-            None if self.seconds is None else fraction * self.seconds,
-            None if self.iterations is None else max(1, round(fraction * self.iterations)),
+        count = self.iterations
+        return replace(
+            self,
+            seconds=None if self.seconds is None else fraction * self.seconds,
+            iterations=None if count is None else max(1, round(fraction * count)),
+            cost=None if self.cost is None else fraction * self.cost,
         )
+
+    def within(self, other: "Budget") -> "Budget":
+        """Return the smaller limits of both budgets, with the prices of this one."""
+        smaller: dict[str, Any] = {}
+        for name in ("seconds", "iterations", "cost"):
+            limits = [getattr(budget, name) for budget in (self, other)]
+            smaller[name] = min((x for x in limits if x is not None), default=None)
+        return replace(self, **smaller)
 
     @classmethod
     def require(cls, value: Any, what: str = "budget") -> None:
@@ -85,6 +101,10 @@ class Counters:
     def work(self) -> float:
         """`projections + state checks + CLEARANCE_COST * clearances`."""
         return search_work(self.projections, self.state_checks, self.clearances)
+
+    def cost(self, prices: Prices) -> float:
+        """Return the price of state checks, projections and Newton steps [s]."""
+        return prices.cost(self.state_checks, self.projections, self.newton_iterations)
 
 
 @dataclass(frozen=True)
@@ -151,7 +171,7 @@ class PlanResult:
     path: JointPath | None  # None unless the status is SOLVED
     seconds: float  # wall time of the whole run, networks included
     counters: Counters
-    vertices: int  # number of nodes of all trees and roadmaps
+    vertices: int  # number of nodes of all trees and roadmaps; OMPL's planners: what OMPL stores
     sampler: str  # name of the sampling distribution
     trees: tuple[Tree, ...] = field(default=(), repr=False)
     detail: str = ""  # short remark, for example about a failure
@@ -159,16 +179,20 @@ class PlanResult:
     fallback: str = ""
     timings: Timings = field(default_factory=Timings)  # parts of `seconds` before the search
     as_is: bool = False  # path of an external planner: it is certified without shortening
+    goals_tried: int = 1  # number of searches for one goal each; 1 where all are searched at once
+    roots: int = 0  # number of starts and goals of all trees
+    # states of the path that the search stored (m, n); None: those of the path
+    waypoints: np.ndarray | None = field(default=None, repr=False)
 
     def after(self, earlier: "PlanResult | None") -> "PlanResult":
-        """Return this result with vertices and timings of an earlier search of the same run added.
+        """Return this result with the vertices, roots and timings of an earlier search added.
 
         Seconds and counters are those of the whole run already.
         """
         if earlier is None:
             return self
         vertices, timings = earlier.vertices + self.vertices, earlier.timings + self.timings
-        return replace(self, vertices=vertices, timings=timings)
+        return replace(self, vertices=vertices, timings=timings, roots=earlier.roots + self.roots)
 
     @property
     def search_seconds(self) -> float:

@@ -25,11 +25,12 @@ from cvqmpt_lab.search.planner_interface import (
     Proposal,
     Query,
     SamplingDistribution,
+    Search,
     Stages,
     uniform,
     widened,
 )
-from cvqmpt_lab.search.result import JointPath
+from cvqmpt_lab.search.result import Budget, JointPath, Timings
 from cvqmpt_lab.search.roadmap import Roadmap, linked_roadmap
 from cvqmpt_lab.sensing.observation import CameraSettings, Observer
 from cvqmpt_lab.vqmpt.code_predictors import (
@@ -287,10 +288,10 @@ def learned(
         InvalidInputError: the weights lack a part that the predictor needs, or are for another
             robot.
     """
-    search = BiRRT(reach=choice.reach, draws=choice.draws.removesuffix("-draws"))
-    apart = choice.goals == "goals-apart"
+    search, limits = _host(choice)
+    apart = choice.goals != "goals-together"
     if choice.predictor == "uniform":
-        return Stages(uniform, search, goals_apart=apart)
+        return Stages(uniform, search, goals_apart=apart, goal_limits=limits)
     codebook = codebook_of(model, robot)
     encode = partial(codes_of, model_of(model), robot)
     predictors: dict[str, CodePredictor] = {
@@ -301,9 +302,11 @@ def learned(
     }
     predict = predictors.get(choice.predictor)
     observe: Callable[[Scene], np.ndarray] | None = None
+    rank: Callable[[Query, Observation], tuple[np.ndarray, Timings]] | None = None
     if predict is None:
         predictor = sequence_predictor(model, robot, choice.predictor == "published")
         nodes = dictionary_nodes(model_of(model), robot)
+        rank = partial(_ranked, predictor)
         predict = partial(network_codes, predictor, choice.sequences == "all-beams", nodes)
         if choice.predictor == "transformer-lines":
             predict = partial(lines_to_predicted_goals, predict)
@@ -327,7 +330,42 @@ def learned(
     elif choice.update == "printed":
         settings = LatentSettings(method="gradient", put_back=False)
         update = partial(sampler.optimized, LatentOptimizer(codebook, settings))
-    return Stages(sampler.propose, search, observe, update, goals_apart=apart)
+    return Stages(
+        sampler.propose,
+        search,
+        observe,
+        update,
+        goals_apart=apart,
+        goal_limits=limits,
+        rank_goals=rank if choice.goals == "goals-ranked" else None,
+    )
+
+
+def _ranked(
+    predictor: SequencePredictor, query: Query, observation: Observation
+) -> tuple[np.ndarray, Timings]:
+    """Return the goals of a query by predicted cost, and the times of encoding and predicting."""
+    assert observation.cloud is not None
+    began = query.deadline.seconds
+    scene = predictor.encode(observation.cloud, observation.use_cache)
+    encoded = query.deadline.seconds
+    goals = predictor.by_cost(scene, query.start, query.goals)
+    return goals, Timings(encode=encoded - began, predict=query.deadline.seconds - encoded)
+
+
+def _host(choice: SamplerChoice) -> tuple[Search, tuple[Budget, ...]]:
+    """Return the search that draws the samples, and the limits for each goal."""
+    tries = tuple(Budget(cost=cost) for cost in (2.5, 5.0, 10.0, 20.0))
+    ranked = choice.goals == "goals-ranked"
+    if choice.host == "in-birrt":
+        search = BiRRT(reach=choice.reach, draws=choice.draws.removesuffix("-draws"))
+        return search, tries if ranked else ()
+    from cvqmpt_lab.search.ompl_planners import GOAL_LIMIT, published_search  # takes 0.3 s
+
+    search_in_ompl = published_search(choice.reach, choice.draws == "free-draws")
+    if ranked:
+        return search_in_ompl, tries
+    return search_in_ompl, (GOAL_LIMIT,) if choice.goals == "goals-apart" else ()
 
 
 def _no_points(scene: Scene) -> np.ndarray:
@@ -340,11 +378,24 @@ def _cloud_of(other_scene: Scene, scene: Scene) -> np.ndarray:
     return observer(4096)(other_scene)
 
 
-def mpnet(robot: Robot, model: str, bridged: bool = False) -> Stages:
+def mpnet(robot: Robot, model: str, bridged: bool = False, in_ompl: bool = False) -> Stages:
     """Return the stages of MPNet.
 
-    bridged: connect sides that did not meet by tree growth, with 10 rollouts instead of 50.
+    Args:
+        robot: robot of the problem and of the weights.
+        model: name or folder of the weights.
+        bridged: connect sides that did not meet by tree growth, with 10 rollouts instead of 50.
+        in_ompl: neighbouring states are joined by OMPL's RRTConnect, as published.
     """
     network = mpnet_network(model)
-    rollouts = MPNetRollouts(network, bridged, rollouts=10) if bridged else MPNetRollouts(network)
+    if in_ompl:
+        from cvqmpt_lab.search.ompl_planners import PAIR_LIMIT, published_search
+
+        rollouts = MPNetRollouts(
+            network, pair_limit=PAIR_LIMIT, direct=False, joins=published_search()
+        )
+    elif bridged:
+        rollouts = MPNetRollouts(network, bridged, rollouts=10)
+    else:
+        rollouts = MPNetRollouts(network)
     return Stages(predict=rollouts, observe=observer(network.config.n_points))

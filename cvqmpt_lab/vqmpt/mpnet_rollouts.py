@@ -11,6 +11,9 @@ direct motion is tried before tree growth; the tree growth is that of this proje
 of the budget (there 5 of 50 s); the time to encode the cloud counts. There are 50 rollouts, because
 the published code makes ten for each of five goals, which are identical there.
 
+Planner `ompl-mpnet` has two of these as published: each pair is planned by OMPL's RRTConnect with
+5 s at the published prices, without a direct motion first.
+
 In the bridged variant, tree growth also connects sides that have not met. All goals take turns in
 ten rollouts, sides meet along a constrained motion, and the network gets projected states as input.
 """
@@ -25,8 +28,8 @@ import numpy as np
 
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.search.birrt import BiRRT
-from cvqmpt_lab.search.planner_interface import Observation, Proposal, Query
-from cvqmpt_lab.search.result import JointPath, PlanStatus, Timings
+from cvqmpt_lab.search.planner_interface import Observation, Proposal, Query, Search
+from cvqmpt_lab.search.result import Budget, JointPath, PlanStatus, Timings
 from cvqmpt_lab.search.space import ConstrainedSpace, direct_motion
 from cvqmpt_lab.vqmpt.config import BY_ROLLOUTS, ROLLOUTS_ALONE, MPNetConfig
 from cvqmpt_lab.vqmpt.numpy_layers import Layers
@@ -113,6 +116,9 @@ class MPNetRollouts:
     predictions: int = 10  # maximum number of predicted states in one rollout
     attempts: int = 32  # maximum number of proposals for one state; they differ by dropout
     share: float = 0.1  # share of the whole budget for tree growth between two states
+    pair_limit: Budget | None = None  # limit of this growth in place of the share
+    direct: bool = True  # whether a direct motion between two states is tried first
+    joins: Search = field(default_factory=BiRRT)  # grows the trees between two states
 
     def __call__(self, query: Query, observation: Observation) -> Proposal:
         """Roll out until a path is found, the budget is spent or all rollouts have failed.
@@ -232,10 +238,12 @@ class _Run:
         """Join all neighbouring states, directly or by tree growth; None if a pair fails."""
         motions, grown = [], 0
         for i, (a, b) in enumerate(pairwise(rollout.states)):
-            if i == rollout.meeting:
+            if i == rollout.meeting and self.planner.direct:
                 motion = rollout.joint
-            else:
+            elif self.planner.direct:
                 motion = direct_motion(self.query.space, a, b)
+            else:
+                motion = None
             if motion is None:
                 motion = self._grown(a, b)
                 grown += 1
@@ -251,9 +259,13 @@ class _Run:
         """Find a path from a to b (n,) by tree growth within its share of the budget."""
         if self.query.deadline.spent():
             return None
-        part = self.query.deadline.rest(self.planner.share)
+        limit = self.planner.pair_limit
+        if limit is None:
+            part = self.query.deadline.rest(self.planner.share)
+        else:
+            part = self.query.deadline.rest().within(limit)
         query = self.query.limited(part, start=a, goals=b[None])
-        result = BiRRT().search(query, query.uniform)
+        result = self.planner.joins.search(query, query.uniform)
         self.vertices += result.vertices
         return result.path
 

@@ -29,13 +29,13 @@ def misfit(kind: str, problem: PlanningProblem, model: str) -> str:
     return weights.incompatibility(model, kind, weights.robot_signature(problem.robot))
 
 
-def mpnet_planner(name: str, bridged: bool) -> Method:
-    """Return MPNet; bridged: tree growth connects sides that did not meet."""
+def mpnet_planner(name: str, bridged: bool = False, in_ompl: bool = False) -> Method:
+    """Return MPNet; see `learned_sampler.mpnet`."""
 
     def build(problem: PlanningProblem, model: str) -> Stages:
         from cvqmpt_lab.vqmpt.learned_sampler import mpnet
 
-        return mpnet(problem.robot, model, bridged)
+        return mpnet(problem.robot, model, bridged, in_ompl)
 
     return Method(name, build, "mpnet", partial(misfit, "mpnet"), grows=False)
 
@@ -54,7 +54,8 @@ def product(name: str, choice: SamplerChoice, other_scene: Scene | None = None) 
 
         return learned(problem.robot, model, name, choice, other_scene)
 
-    return Method(name, build, "vq_mpt", partial(misfit, "vq_mpt"), sampler=choice)
+    fit, grows = partial(misfit, "vq_mpt"), choice.host == "in-birrt"
+    return Method(name, build, "vq_mpt", fit, sampler=choice, grows=grows)
 
 
 def dictionary_roadmap(problem: PlanningProblem, model: str) -> Roadmap:
@@ -82,7 +83,9 @@ on_dictionary = partial(
 def planners() -> list[Method]:
     """Return the planners whose weights are shipped."""
     return [
-        mpnet_planner("mpnet", bridged=False),  # the paper's MPNet (w/ proj)
+        # the paper's MPNet (w/ proj); `ompl-mpnet` joins states by the search of the experiments
+        mpnet_planner("mpnet"),
+        mpnet_planner("ompl-mpnet", in_ompl=True),
         mpnet_planner("mpnet-bridged", bridged=True),
         *(
             product(name, choice)
@@ -95,4 +98,8 @@ def planners() -> list[Method]:
 
 def unshipped_planners() -> list[Method]:
     """Return the planners whose weights are not shipped."""
-    return [product("cvq-published", NAMED_SAMPLERS["cvq-published"])]
+    return [
+        product(name, choice)
+        for name, choice in NAMED_SAMPLERS.items()
+        if choice.predictor == "published"
+    ]

@@ -22,9 +22,13 @@
     draws       projected-draws: samples are projected onto F(q) = 0 before trees extend (paper);
                 raw-draws: they are not; free-draws: projected, and drawn again if they collide
     reach       maximum length of extensions towards a sample [rad]; inf as printed
+    host        in-birrt: Algorithm 3 as the paper prints it;
+                in-ompl: OMPL's RRTConnect, in which the paper ran its experiments
     goals       goals-together: sequences to the cheapest three goals, search for all goals;
                 goals-apart: one goal after the other, each with a query and an equal share of the
-                budget (paper: 20 goals, 2.5 s each)
+                budget (paper: 20 goals, 2.5 s each);
+                goals-ranked: goals-apart, the cheapest predicted goal first; all goals get short
+                tries before any goal gets a long one
 
 The distribution is the mixture of the codes' Gaussians and of one around each predicted goal, all
 of equal weight (paper, eqn. sample_dist, and its code), plus a uniform share. Gaussians `along` a
@@ -49,7 +53,8 @@ CHOICES = {
     "sequences": ("likeliest", "all-beams"),
     "cloud": ("own-cloud", "other-cloud", "no-cloud"),
     "draws": ("projected-draws", "raw-draws", "free-draws"),
-    "goals": ("goals-together", "goals-apart"),
+    "goals": ("goals-together", "goals-apart", "goals-ranked"),
+    "host": ("in-birrt", "in-ompl"),
 }
 
 
@@ -67,6 +72,7 @@ class SamplerChoice:
     draws: str = "projected-draws"
     reach: float = math.inf  # [rad]
     goals: str = "goals-together"
+    host: str = "in-birrt"
     std: float = 0.9  # [rad], tuned
 
     def __post_init__(self) -> None:
@@ -94,6 +100,12 @@ class SamplerChoice:
             raise InvalidInputError(
                 f"{self.update} moves codes: {word} has none; leave one of them out"
             )
+        if self.goals == "goals-ranked" and self.predictor != "transformer":
+            raise InvalidInputError(
+                f"goals-ranked goes with predictor transformer, not {self.predictor}"
+            )
+        if self.host == "in-ompl" and self.draws == "raw-draws":
+            raise InvalidInputError("in-ompl: OMPL projects every draw; leave raw-draws out")
         if not 0.0 <= self.uniform_share <= 1.0:
             raise InvalidInputError(
                 f"uniform share {self.uniform_share} of a learned sampler: give 0 to 1"
@@ -160,7 +172,16 @@ NAMED_SAMPLERS = {
     "cvq-mpt": SamplerChoice.of("transformer+decoded+every-waypoint+goals-apart"),
     "opt-cvq-mpt": SamplerChoice.of("transformer+decoded+every-waypoint+goals-apart+algorithm-2"),
     "cvq-published": SamplerChoice.of("published+decoded+goals-apart"),
+    "ompl-cvq": SamplerChoice.of("transformer+decoded+every-waypoint+goals-apart+in-ompl"),
+    "ompl-opt-cvq": SamplerChoice.of(
+        "transformer+decoded+every-waypoint+goals-apart+algorithm-2+in-ompl"
+    ),
+    "ompl-cvq-tuned": SamplerChoice.of(
+        "transformer+decoded+every-waypoint+algorithm-2+goals-ranked+free-draws+in-ompl"
+    ),
+    "ompl-cvq-published": SamplerChoice.of("published+decoded+goals-apart+in-ompl"),
     "cvq-wide": SamplerChoice.of("transformer+wide+projected+all-beams+reach=1"),
     "cvq-tuned": SamplerChoice.of("transformer+along+all-beams+free-draws+reach=1"),
 }
-"""Choices of planners with a name: the first three are the paper's, the others are ours."""
+"""Choices of planners with a name. ``ompl-...`` are the paper's experiments; the first three are
+the same samplers in the search that the paper prints, Algorithm 3; wide and tuned ones are ours."""

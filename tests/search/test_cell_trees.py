@@ -34,10 +34,11 @@ def grown(problem, slices, seed=2):
     """Return path and work of trees that grow in slices of a given work."""
     space = ConstrainedSpace.of(problem)
     rng = problem.random_stream(seed)
-    growth = CellTrees(Query.of(space, problem.start, problem.goals, MOST, rng))
+    query = Query.of(space, problem.start, problem.goals, Budget(iterations=10**9), rng)
+    growth = CellTrees(query)
     for _ in range(1_000_000):
         before = space.work
-        path = growth.grow(slices)
+        path = growth.grow(query.deadline, slices)
         if path is not None:
             return path, growth, space
         assert space.work >= before + slices

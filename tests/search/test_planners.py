@@ -31,7 +31,7 @@ from cvqmpt_lab.search.space import ConstrainedSpace
 
 # these may fail: their time or number of rollouts is limited
 LENIENT = dict.fromkeys(("atlas-rrt", "tb-rrt", "ompl-bkpiece"), PlanStatus.TIMEOUT)
-LENIENT |= {"mpnet": PlanStatus.ITERATION_LIMIT}
+LENIENT |= dict.fromkeys(("mpnet", "ompl-mpnet"), PlanStatus.ITERATION_LIMIT)
 OURS = ("birrt", "guided-birrt")
 ENOUGH = Budget(iterations=20_000)
 
