@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from cvqmpt_lab.base.codec import from_plain
-from cvqmpt_lab.base.errors import InvalidInputError, mapping
+from cvqmpt_lab.base.errors import InvalidInputError, mapping, require_choice
 from cvqmpt_lab.base.files import read_json_object
 from cvqmpt_lab.benchmarks.declarations import SUITES
 from cvqmpt_lab.benchmarks.suite import suite_named
@@ -33,6 +33,7 @@ from cvqmpt_lab.robot.load import group_states, numbers_of, robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.space import BACKENDS
+from cvqmpt_lab.search.work import PRICES
 from cvqmpt_lab.tasks.task import Task
 
 
@@ -137,6 +138,13 @@ BUDGET: Options = {
     "--iterations": option(
         "give up after N iterations; results repeat bit for bit", type=positive_int, metavar="N"
     ),
+    "--cost": option(
+        "give up when state checks, projections and Newton steps cost S seconds of the paper's "
+        "(results repeat bit for bit)",
+        type=positive,
+        metavar="S",
+    ),
+    "--prices": option(f"prices of --cost: {', '.join(PRICES)} (published)", metavar="NAME"),
     "--backend": option(f"collision backend: {', '.join(BACKENDS)} (compiled)", default="compiled"),
 }
 
@@ -256,10 +264,17 @@ def with_clearance(
     return replace(problem, clearance=args.clearance)
 
 
-def budget(args: argparse.Namespace) -> Budget:
-    """Return the budget of the options, by default 10 s."""
-    seconds = 10.0 if args.cutoff is None and args.iterations is None else args.cutoff
-    return Budget(seconds=seconds, iterations=args.iterations)
+def budget(args: argparse.Namespace, cost: float | None = None) -> Budget:
+    """Return the budget of the options; without any: a cost, or 10 s.
+
+    cost: in the paper's seconds [s]; None: 10 s of wall time.
+    """
+    if args.prices is not None and args.cost is None:
+        raise InvalidInputError(f"--prices {args.prices}: give --cost, the limit that they price")
+    if args.cutoff is None and args.iterations is None and args.cost is None:
+        return Budget(seconds=10.0) if cost is None else Budget(cost=cost)
+    name = require_choice("--prices", args.prices or "published", PRICES)
+    return Budget(args.cutoff, args.iterations, args.cost, PRICES[name])
 
 
 def optimize_option(default: str = "") -> Options:

@@ -53,6 +53,8 @@ FIXED_BY_PROFILE = (
     "model",
     "reach",
     "cutoff",
+    "cost",
+    "prices",
     "iterations",
     "optimize",
 )
@@ -74,7 +76,7 @@ def run(args: argparse.Namespace) -> None:
         problems=tuple(suite.problems[: args.problems]),
         planners=planners_of(suite) if args.planners is None else args.planners,
         seeds=tuple(range(args.seeds or 1)),
-        budget=budget(args),
+        budget=budget(args, suite.cost),
         backend=args.backend,
         model=args.model,
         reach=args.reach,

@@ -37,6 +37,7 @@ from cvqmpt_lab.results.provenance import provenance
 from cvqmpt_lab.results.row import ROW_COLUMNS, FailReason, ResultRow, cell_text, phase_problem
 from cvqmpt_lab.results.store import RunStore, states_hash
 from cvqmpt_lab.search.result import Budget
+from cvqmpt_lab.search.space import ConstrainedSpace
 from cvqmpt_lab.tasks.solve import PhaseOutcome, TaskSolution, solve_task
 from cvqmpt_lab.tasks.task import Task
 from cvqmpt_lab.vqmpt.sampler_choice import SamplerChoice
@@ -79,6 +80,8 @@ def outcome_of(run: Run, item: SuiteItem, goals: Goals | None = None) -> Outcome
         goals=goals,
     )
     row = result_row(run, solution, 0.0 if goals is None else goals.seconds)
+    if solution.plan.waypoints is not None and suite_named(setup.suite).simplified_by_ompl:
+        row = replace(row, path_length_ompl_rad=_length_by_ompl(solution))
     if isinstance(item, SensedProblem):
         whole = item.seconds + time.perf_counter() - began
         row = replace(row, t_sense_s=item.seconds, t_whole_s=whole)
@@ -91,6 +94,15 @@ def outcome_of(run: Run, item: SuiteItem, goals: Goals | None = None) -> Outcome
                 row, true_free=not doubts, true_clearance_m=_defined(truth.min_clearance_m)
             )
     return Outcome([replace(row, scene_new=new)], _states([solution]))
+
+
+def _length_by_ompl(solution: Solution) -> float:
+    """Return the length of a path of OMPL after OMPL's simplification [rad]; no time counts it."""
+    from cvqmpt_lab.search.ompl_planners import simplified_by_ompl  # ompl takes 0.3 s to import
+
+    assert solution.plan.waypoints is not None
+    space = ConstrainedSpace.of(solution.problem, ends=solution.problem.start[None])
+    return simplified_by_ompl(space, solution.plan.waypoints).length
 
 
 def _states(solutions: Sequence[Solution]) -> list[np.ndarray]:
@@ -146,6 +158,8 @@ def result_row(run: Run, solution: Solution, goal_seconds: float) -> ResultRow:
         n_draw_newton_iterations=(
             work.draw_newton_iterations if work and work.draw_projections else None
         ),
+        n_roots=plan.roots or None,
+        n_goals_tried=None if plan.as_is else plan.goals_tried,
         vertices=None if plan.as_is else plan.vertices,
         path_length_raw_rad=plan.path.length if plan.path and not plan.as_is else None,
         path_length_rad=shorter.path.length if shorter else None,

@@ -6,11 +6,9 @@ from operator import attrgetter
 
 from cvqmpt_lab.paper_tables import table_engine as table
 from cvqmpt_lab.paper_tables.measures import (
-    NEWTON_STEP_COST,
+    PUBLISHED_PRICES,
     RATIOS,
     REFERENCE,
-    RESIDUAL_COST,
-    STATE_CHECK_COST,
     VALUES,
     WORK,
     SuiteRuns,
@@ -152,11 +150,11 @@ METHOD_NOTES = (
     "interval.",
     "By fallback: runs whose path was found by another method than the named planner; they count "
     "as runs of the named planner.",
-    f"At the paper's cost: {1e3 * STATE_CHECK_COST:g} ms per state check (PyBullet, see bench "
-    f"paper-check), {1e3 * RESIDUAL_COST:g} ms per projection and {1e3 * NEWTON_STEP_COST:g} ms "
-    "per Newton step (the published constraint in Python, see docs/judgement.md); networks as "
-    "measured here; goals and simplification are left out. Medians count failures as infinite; "
-    "ratios are as above.",
+    f"At the paper's cost: {1e3 * PUBLISHED_PRICES.state_check:g} ms per state check (PyBullet, "
+    f"see bench paper-check), {1e3 * PUBLISHED_PRICES.projection:g} ms per projection and "
+    f"{1e3 * PUBLISHED_PRICES.newton_step:g} ms per Newton step (the published constraint in "
+    "Python, see docs/judgement.md); networks as measured here; goals and simplification are left "
+    "out. Medians count failures as infinite; ratios are as above.",
     "Easy and hard: a run is hard if its problem is in the top third by the work of "
     f"{REFERENCE} with uniform samples (median over its other seeds). Ratios are geometric means "
     "over problems that both planners solved, with bootstrap intervals; time includes goal inverse "

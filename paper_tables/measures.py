@@ -24,16 +24,12 @@ from cvqmpt_lab.results.statistics import (
     problem_key,
     wilson_interval,
 )
-from cvqmpt_lab.search.work import CLEARANCE_COST, search_work
+from cvqmpt_lab.search.work import CLEARANCE_COST, PRICES, PYBULLET_CHECK_S, search_work
 
+PUBLISHED_PRICES = PRICES["published"]
 REFERENCE = "birrt"  # baseline of ratios; its work is the measure of difficulty of a problem
 WORK = f"projections, state checks and {CLEARANCE_COST:.2g} of the clearances"
 HARD_SHARE = 1 / 3
-# [s] PyBullet, all distances of a Panda in this kitchen: `cvqmpt bench paper-check`
-STATE_CHECK_COST = 3.5e-3
-# [s] The published constraint in Python, its value and a Newton step: docs/judgement.md
-RESIDUAL_COST = 1.3e-4
-NEWTON_STEP_COST = 5e-4
 
 Key = TypeVar("Key")
 Item = TypeVar("Item")
@@ -49,20 +45,12 @@ def work(row: ResultRow) -> float | None:
     return search_work(row.n_projections, row.n_state_checks, row.n_clearances or 0)
 
 
-def search_cost(
-    row: ResultRow, residual: float = RESIDUAL_COST, step: float = NEWTON_STEP_COST
-) -> float | None:
-    """Return the time of a run's work in the published code [s].
-
-    Args:
-        row: row of the run.
-        residual: price of the constraint's value, once a projection [s].
-        step: time of each of its Newton steps [s].
-    """
+def search_cost(row: ResultRow, prices: str = "published") -> float | None:
+    """Return the price of a run's work [s]; prices: a key of `search.work.PRICES`."""
     if row.n_projections is None or row.n_state_checks is None:
         return None
-    checks, steps = row.n_state_checks, row.n_newton_iterations or 0
-    return checks * STATE_CHECK_COST + row.n_projections * residual + steps * step
+    steps = row.n_newton_iterations or 0
+    return PRICES[prices].cost(row.n_state_checks, row.n_projections, steps)
 
 
 def network_time(row: ResultRow) -> float:
@@ -70,16 +58,23 @@ def network_time(row: ResultRow) -> float:
     return (row.t_encode_s or 0.0) + (row.t_predict_s or 0.0) + (row.t_optimize_s or 0.0)
 
 
-def paper_cost(row: ResultRow, **prices: float) -> float | None:
+def paper_cost(row: ResultRow, prices: str = "published") -> float | None:
     """Return `search_cost` and measured network time [s], without goals and shortcutting."""
-    search = search_cost(row, **prices)
+    search = search_cost(row, prices)
     return None if search is None else search + network_time(row)
+
+
+def stored_vertices(row: ResultRow) -> int | None:
+    """Return the number of states that OMPL's PlannerData counts, see `ResultRow.n_roots`."""
+    if row.n_extensions is None or row.n_roots is None:
+        return None
+    return row.n_extensions + row.n_roots
 
 
 def time_at(row: ResultRow, check: float) -> float | None:
     """Return `own_time` if a state check costs `check` [s] more, and other work in proportion."""
     own, search = own_time(row), search_cost(row)
-    return None if own is None or search is None else own + check / STATE_CHECK_COST * search
+    return None if own is None or search is None else own + check / PYBULLET_CHECK_S * search
 
 
 def newton_steps(row: ResultRow) -> float | None:
@@ -133,7 +128,13 @@ VALUES: Mapping[str, Value] = {  # values of a row by name; times in [s]
     "work": work,
     "paper_cost": paper_cost,
     # the same with projections by PyBullet's kinematics
-    "pybullet_cost": partial(paper_cost, residual=5.5e-5, step=8e-5),
+    "pybullet_cost": partial(paper_cost, prices="pybullet"),
+    # the price of the search alone: the published code times no network
+    "search_cost": search_cost,
+    "search_cost_pybullet": partial(search_cost, prices="pybullet"),
+    "stored_vertices": stored_vertices,
+    "ompl_length": attrgetter("path_length_ompl_rad"),
+    "goals_tried": attrgetter("n_goals_tried"),
     "projections": attrgetter("n_projections"),
     "newton_iterations": attrgetter("n_newton_iterations"),
     "newton_steps": newton_steps,

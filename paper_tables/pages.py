@@ -25,10 +25,8 @@ from cvqmpt_lab.paper_tables.claims import (
 )
 from cvqmpt_lab.paper_tables.judging import LEVEL, NOTHING, POWER, REACHED, Word, verdict_lines
 from cvqmpt_lab.paper_tables.measures import (
-    NEWTON_STEP_COST,
+    PUBLISHED_PRICES,
     REFERENCE,
-    RESIDUAL_COST,
-    STATE_CHECK_COST,
     VALUES,
     WORK,
     Rows,
@@ -83,8 +81,11 @@ def reading() -> list[str]:
     """Return explanations of verdicts, one for each item of a list."""
     numbers = {"share": REACHED, "level": LEVEL, "power": POWER}
     percents = {name: 100.0 * number for name, number in numbers.items()}
-    prices = {"check": STATE_CHECK_COST, "residual": RESIDUAL_COST, "step": NEWTON_STEP_COST}
-    prices = {name: 1e3 * price for name, price in prices.items()}
+    prices = {
+        "check": 1e3 * PUBLISHED_PRICES.state_check,
+        "residual": 1e3 * PUBLISHED_PRICES.projection,
+        "step": 1e3 * PUBLISHED_PRICES.newton_step,
+    }
     return [line.format(**percents, **prices) for line in READING]
 
 

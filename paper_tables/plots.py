@@ -16,8 +16,8 @@ from matplotlib.ticker import FuncFormatter, NullFormatter
 
 from cvqmpt_lab.paper_tables.judging import Verdict, Word
 from cvqmpt_lab.paper_tables.measures import (
+    PUBLISHED_PRICES,
     REFERENCE,
-    STATE_CHECK_COST,
     Value,
     mean_ratio,
     paired,
@@ -51,6 +51,11 @@ COLOURS = {  # colours of planners
     "ompl-bkpiece": "#c9b458",
     "atlas-rrt": "#3aa6a6",
     "tb-rrt": "#7cae3c",
+    "ompl-uniform": "#5c4a2a",
+    "ompl-mpnet": "#5b3f8c",
+    "ompl-cvq": "#f0b95b",
+    "ompl-opt-cvq": "#a8201a",
+    "ompl-cvq-tuned": "#3b0f22",
     "mpnet": "#8a4fa3",
     "mpnet-bridged": "#d987c0",
     "cvq-mpt": "#e58a2f",
@@ -214,7 +219,7 @@ def cost_curves(groups: Groups) -> bytes:
     All work is priced in proportion: at the right end as the published code pays it.
     """
     figure, axes = _axes(4.2)
-    prices = np.geomspace(1e-6, STATE_CHECK_COST, 15)
+    prices = np.geomspace(1e-6, PUBLISHED_PRICES.state_check, 15)
     for name, rows in groups.items():
         found = [
             mean_ratio(paired(rows, groups[REFERENCE], partial(time_at, check=price)))

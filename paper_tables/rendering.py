@@ -103,6 +103,8 @@ def _cutoffs(record: Mapping[str, Any]) -> str:
     seconds, iterations = configuration.get("cutoff_s"), configuration.get("iterations")
     limits = [f"cutoff {seconds:g} s"] if seconds else []
     limits += [f"{iterations} iterations"] if iterations else []
+    cost = configuration.get("cost_s")
+    limits += [f"cutoff {cost:g} s at the paper's prices"] if cost else []
     return ", ".join(limits) or "cutoff not recorded"
 
 

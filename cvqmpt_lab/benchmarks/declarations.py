@@ -38,6 +38,7 @@ class Amount:
     problems: int | None = None  # number of problems, from the first on; None: all
     seeds: int = 1
     cutoff: float = 10.0  # [s]
+    cost: float | None = None  # limit in the paper's seconds, in place of `cutoff`
     planners: tuple[str, ...] | None = None  # None: those of the suite
     folder: str | None = None  # folder of the results; None: the name of the suite
     late: bool = False  # run after all amounts that are not late
@@ -52,6 +53,8 @@ class PlannerGroups:
     )
     slow = ("atlas-rrt", "tb-rrt")  # most of their time goes into runs that time out
     every = (*quick[:4], *slow, "ompl-bkpiece", *quick[4:])
+    # the paper's experiment, in suites of its own
+    in_ompl = ("ompl-uniform", "ompl-mpnet", "ompl-cvq", "ompl-opt-cvq", "ompl-cvq-tuned")
     claimed = ("ompl-projected", "cvq-mpt", "opt-cvq-mpt")  # those of the paper's main claims
     few = ("birrt", *claimed, "roadmap-cvq")
     tuned = (*few, "birrt-printed", "cvq-tuned")
@@ -81,6 +84,9 @@ class Suite:
     of_tasks: bool = False  # items are tasks: a row is one phase of a task
     # every planner computes its own distance field and edge costs of a cloud
     new_scenes: bool = True
+    simplified_by_ompl: bool = False  # whether rows have lengths after OMPL's simplification
+    # limit of a run in the paper's seconds if no other limit is given; None: 10 s of wall time
+    cost: float | None = None
     # further settings on which the rows depend, as json values
     settings: Mapping[str, object] = field(default_factory=dict)
     # sha256 of a folder's problems, by name
@@ -234,6 +240,42 @@ def _place_suites() -> list[Suite]:
                 notes=(
                     "Roboplan's extension length, and HPP's validation and shortcuts, were chosen "
                     "on problems that are not in this table.",
+                ),
+            ),
+        ),
+    ]
+
+
+def _ompl_suites() -> list[Suite]:
+    """Suites of the paper's experiment: all planners inside OMPL, limits in the paper's seconds."""
+    samplers = tuple(name for name in PlannerGroups.in_ompl if name != "ompl-mpnet")
+    experiment = partial(
+        Suite,
+        make=_problem("place_task:place_problem"),
+        shown_in_hand=Imported("cvqmpt_lab.benchmarks.place_task:carried_can"),
+        planners=("ompl-projected", *PlannerGroups.slow, *PlannerGroups.in_ompl),
+        cost=100.0,
+        simplified_by_ompl=True,
+        table=Imported("cvqmpt_lab.paper_tables.ompl_table:ompl_table"),
+        paper=("place_task.csv", "Place Task"),
+    )
+    return [
+        experiment(
+            name="place-task-ompl",
+            title="Place task inside OMPL: the paper's experiment, in its seconds",
+            problems=range(5000, 5400),  # nobody has looked at them, see docs/judgement.md
+            amounts=(Amount(cost=100.0),),
+        ),
+        experiment(
+            name="place-task-ompl-tuning",
+            title="The same on problems that settings were chosen on",
+            problems=range(1000, 1100),
+            amounts=(
+                Amount(
+                    profile="small",
+                    problems=20,
+                    cost=100.0,
+                    planners=("ompl-projected", *samplers),
                 ),
             ),
         ),
@@ -573,6 +615,7 @@ SUITES: Mapping[str, Suite] = {
     suite.name: suite
     for suite in (
         *_place_suites(),
+        *_ompl_suites(),
         *_scene_suites(),
         *_factorial_suites(),
         *_two_arm_suites(),

@@ -142,7 +142,11 @@ class ProvenanceFile:
             "wall_s": float,
             **dict.fromkeys(SESSION_DIGESTS, Mapping[str, Any]),
         }
-        of_settings = {"suite": str, "cutoff_s": float | None, "iterations": int | None}
+        of_settings = {
+            "suite": str,
+            **dict.fromkeys(("cutoff_s", "cost_s"), float | None),
+            "iterations": int | None,
+        }
         with located(f"{self.path}"):
             later = from_plain(
                 tuple[Mapping[str, Any], ...], record.get("continued", []), "continued"

@@ -44,6 +44,7 @@ class FailReason(StrEnum):
 
     TIMEOUT = "timeout"
     ITERATION_LIMIT = "iteration_limit"
+    COST_LIMIT = "cost_limit"
     NO_START = "no_start"
     NO_GOAL = "no_goal"
     INVALID_START = "invalid_start"
@@ -162,6 +163,13 @@ class ResultRow:
     # `n_newton_iterations`. None: no sample was projected.
     n_draw_projections: int | None = None
     n_draw_newton_iterations: int | None = None
+    # Number of starts and goals of all trees. `n_extensions + n_roots` is what OMPL's PlannerData
+    # counts. None: no tree grew.
+    n_roots: int | None = None
+    n_goals_tried: int | None = None  # number of searches for one goal each, one after the other
+    # length of the path after OMPL's own simplification, as the published code measures it
+    path_length_ompl_rad: float | None = None
+    host: str | None = None  # learned samplers only, like `predictor`
     # Numbers that only one suite measures, by name; None: undefined. In files they are the last
     # columns, with names ``measure:NAME``.
     measures: Mapping[str, float | None] = field(default_factory=dict, hash=False)

@@ -1,0 +1,166 @@
+"""Table of the paper's experiment inside OMPL: Table I in the paper's currency and statistic.
+
+Cost is priced work, see `search.work.PRICES`; a failed run counts as the paper's cut-off. Ratios
+are those of the rule in docs/judgement.md: arithmetic means over problems with BCa intervals.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+
+from cvqmpt_lab.paper_tables import table_engine as table
+from cvqmpt_lab.paper_tables.measures import (
+    VALUES,
+    Measure,
+    Rows,
+    SuiteRuns,
+    Value,
+    mean_of,
+    median_of,
+    paired,
+    problem_mean,
+    share_of,
+    solved,
+)
+from cvqmpt_lab.paper_tables.rule import FEWEST_PROBLEMS, ratio_of_means
+from cvqmpt_lab.paper_tables.statements import CBIRRT, PublishedValue
+from cvqmpt_lab.paper_tables.table_engine import Column, SuiteTable
+from cvqmpt_lab.results.row import ResultRow
+from cvqmpt_lab.results.statistics import CONFIDENCE, UNDEFINED, Interval
+
+PAPER_CUTOFF_S = 100.0
+UNIFORM = "ompl-uniform"
+# planners of the paper's Table I, and those that run its experiment
+IN_OMPL = {"cvq-mpt": "ompl-cvq", "opt-cvq-mpt": "ompl-opt-cvq", "mpnet": "ompl-mpnet"}
+
+
+def mean_cost(value: str) -> Measure:
+    """Return the arithmetic mean over problems as a measure; failed runs count as the cut-off."""
+
+    def measure(rows: Rows, runs: SuiteRuns) -> Interval:
+        costs: dict[str, list[float]] = {}
+        for row in rows:
+            cost = VALUES[value](row) if row.solved else PAPER_CUTOFF_S
+            if cost is not None:
+                costs.setdefault(row.problem, []).append(min(cost, PAPER_CUTOFF_S))
+        return problem_mean([*costs.values()])
+
+    return measure
+
+
+def means_ratio(baseline: str, value: Value, cutoff: float | None) -> Measure:
+    """Return the ratio of arithmetic means to a baseline as a measure, with its BCa interval.
+
+    Args:
+        baseline: name of a planner.
+        value: of a row.
+        cutoff: see `paired`.
+    """
+
+    def measure(rows: Rows, runs: SuiteRuns) -> Interval:
+        if rows[0].planner == baseline:
+            return UNDEFINED
+        pairs = paired(rows, runs.baseline(baseline), value, cutoff=cutoff)
+        own, other = [pair.own for pair in pairs], [pair.other for pair in pairs]
+        if not pairs:
+            return UNDEFINED
+        if len(pairs) < FEWEST_PROBLEMS:
+            return Interval(sum(own) / sum(other), None, None, len(pairs))
+        return ratio_of_means(own, other, 1.0 - CONFIDENCE)
+
+    return measure
+
+
+def _ratios(label: str, value: str, cutoff: float | None = None) -> dict[str, Column]:
+    """Return the columns of a value's ratios to CBiRRT and to uniform samples."""
+    return {
+        f"{value}_means_over_{name}": Column(
+            f"{label} / {name}", "1", means_ratio(name, VALUES[value], cutoff)
+        )
+        for name in (CBIRRT, UNIFORM)
+    }
+
+
+COST_COLUMNS = {
+    "accuracy": Column("solved [%]", "%", share_of(solved), "accuracy"),
+    "search_cost_mean": Column("cost [s]", "s", mean_cost("search_cost"), "time"),
+    **_ratios("cost", "search_cost", PAPER_CUTOFF_S),
+}
+PYBULLET_COLUMNS = {
+    "search_cost_pybullet_mean": Column("cost [s]", "s", mean_cost("search_cost_pybullet")),
+    **_ratios("cost", "search_cost_pybullet", PAPER_CUTOFF_S),
+}
+LENGTH_COLUMNS = {
+    "raw_length_mean": Column("raw [rad]", "rad", mean_of("raw_length", "joint")),
+    "ompl_length_mean": Column(
+        "simplified by OMPL [rad]", "rad", mean_of("ompl_length", "joint"), "path_length"
+    ),
+    "path_length_mean": Column("ours [rad]", "rad", mean_of("path_length", "joint")),
+    **_ratios("simplified by OMPL", "ompl_length"),
+}
+COUNT_COLUMNS = {
+    "stored_vertices_mean": Column(
+        "vertices", "1", mean_of("stored_vertices", "solved"), "vertices"
+    ),
+    "goals_tried_mean": Column("goals tried", "1", mean_of("goals_tried", "stated")),
+    "state_checks_median": Column("state checks", "1", median_of("state_checks")),
+    "projections_median": Column("projections", "1", median_of("projections")),
+    "newton_iterations_median": Column("Newton steps", "1", median_of("newton_iterations")),
+    "draw_newton_steps_median": Column(
+        "Newton steps a draw", "1", median_of("draw_newton_steps", "stated")
+    ),
+    "network_time_median": Column("network [s]", "s", median_of("network_time", "stated")),
+    "search_time_median": Column("search here [s]", "s", median_of("search_time")),
+}
+NOTES = (
+    "The paper's experiment: every planner in OMPL's RRTConnect on a projected space, with the "
+    "same compiled checks and projections. `ompl-cvq`, `ompl-opt-cvq` and `ompl-uniform` differ "
+    "in samples alone: longest motion as published (none is cut), one goal after the other, 2.5 s "
+    "of cost each. `ompl-projected`, the paper's CBiRRT, has OMPL's longest motion and all goals.",
+    "Cost: state checks, projections and Newton steps at the prices of the published code, 100 s "
+    "at most; a failed run counts as 100 s. Networks cost nothing there; their seconds on this "
+    "machine have a column. Means over problems; ratios of means with BCa intervals (bootstrap) "
+    "from 30 problems on.",
+    "Lengths: means over problems that all planners solved; ratios over those that both solved. "
+    "OMPL's simplification, as in the published code, removes states and makes no shortcuts.",
+    "Vertices: as OMPL's PlannerData counts them, roots included, over all goals tried.",
+    "Solved: certified paths; the published code checks no path after the search.",
+)
+
+
+def ompl_table(rows: Iterable[ResultRow], published: Sequence[PublishedValue] = ()) -> SuiteTable:
+    """Return cost, lengths and counts of planners inside OMPL, beside the paper's Table I."""
+    published = [
+        replace(value, planner=IN_OMPL.get(value.planner, value.planner)) for value in published
+    ]
+    columns = {**COST_COLUMNS, **PYBULLET_COLUMNS, **LENGTH_COLUMNS, **COUNT_COLUMNS}
+    runs = table.suite_runs(rows, published)
+    found = table.entries(runs, columns, published)
+    suite, size = runs.rows[0].suite, f"{len({row.problem for row in runs.rows})} problems"
+    metrics = {
+        "accuracy": "accuracy",
+        "time": "search_cost_mean",
+        "vertices": "stored_vertices_mean",
+        "path_length": "ompl_length_mean",
+    }
+    paper = [["planner", *(f"{name}, {who}" for name in metrics for who in ("paper", "here"))]]
+    for item in found:
+        cells = [[item.paper_cell(name), item.cell(column)] for name, column in metrics.items()]
+        paper.append([item.title, *(cell for pair in cells for cell in pair)])
+    return SuiteTable(
+        suite,
+        size,
+        found,
+        {
+            f"{size}, at the prices of the published code": table.column_lines(found, COST_COLUMNS),
+            "The paper's Table I, and here": paper,
+            "At the prices of PyBullet's kinematics": table.column_lines(found, PYBULLET_COLUMNS),
+            "Path lengths": table.column_lines(found, LENGTH_COLUMNS),
+            "Counts and times": table.column_lines(found, COUNT_COLUMNS),
+            **table.counted(found),
+            "Notes": [*NOTES, *table.seed_notes(runs)],
+            "Notes on the paper's numbers": table.published_notes(runs, published),
+        },
+        table.latex_planners(
+            " ".join(NOTES[:3]), suite, found, {k: {"here": v} for k, v in metrics.items()}
+        ),
+    )
