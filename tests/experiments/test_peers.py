@@ -19,7 +19,8 @@ from cvqmpt_lab.benchmarks.two_arms import carrying_problem
 from cvqmpt_lab.constraints.task_space_region import upright
 from cvqmpt_lab.experiments.peers import fixed_holds, rpy_box, upright_region, versions
 from cvqmpt_lab.experiments.peers.world_files import unchecked_pairs, urdf_of
-from cvqmpt_lab.external.door import entry_point_names, external_planner
+from cvqmpt_lab.external.door import external_planner
+from cvqmpt_lab.external.names import entry_point_names
 from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.scene.scene import Scene
