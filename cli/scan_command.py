@@ -39,7 +39,6 @@ from cvqmpt_lab.scene.scene import Scene, check_extent
 from cvqmpt_lab.scene.scene_files import read_scene
 from cvqmpt_lab.scene.shapes import PointCloud
 from cvqmpt_lab.sensing.crop import Crop
-from cvqmpt_lab.sensing.depth import read_capture
 from cvqmpt_lab.sensing.plane import CAMERA_UP
 from cvqmpt_lab.sensing.scan import (
     MAP_RESOLUTION_M,
@@ -160,6 +159,8 @@ def scan_of(args: argparse.Namespace, files: Sequence[Path], robot: Robot, arm: 
     intrinsics = _each("--intrinsics", args.intrinsics, files)
     extrinsics = _each("--extrinsics", args.extrinsics, files)
     cameras = zip(files, intrinsics, extrinsics, strict=True)
+    from cvqmpt_lab.sensing.depth import read_capture  # not needed for clouds
+
     captures = [read_capture(file, lens, pose, args.scale) for file, lens, pose in cameras]
     gaps = [float(np.linalg.norm(capture.in_world, axis=1).min()) for capture in captures]
     # where no capture is in reach, the scene of all of them gives the warning
