@@ -48,7 +48,7 @@ def test_it_writes_rows_tables_verdicts_and_the_report_and_goes_on_where_it_was(
     record = json.loads((tmp_path / "place-task" / "provenance.json").read_text())
     assert record["command"][:3] == ["cvqmpt", "reproduce", "place-task"] and record["wall_s"] > 0.0
     for page in ("claims.md", "report.html"):
-        assert "These rows are of --profile small" in (tmp_path / page).read_text()
+        assert "These rows were made with --profile small" in (tmp_path / page).read_text()
     rows = (tmp_path / "place-task" / RUNS_FILE).read_bytes()
     cvqmpt(words)
     assert (tmp_path / "place-task" / RUNS_FILE).read_bytes() == rows
