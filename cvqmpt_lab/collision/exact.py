@@ -6,7 +6,7 @@ obstacles need no pairs.
 """
 
 from bisect import bisect_left
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -194,7 +194,7 @@ class CollisionChecker:
         for part in self._parts:
             part.update()
 
-    def _compared(self, joint: int, manager: Any, items: Any, hidden: Collection[str]) -> tuple:
+    def _compared(self, joint: int, manager: Any, items: Any, hidden: set[str]) -> tuple:
         """Return broad phase and objects of the pieces of a joint that obstacles are compared with.
 
         Args:
