@@ -362,14 +362,17 @@ class Goals:
     drawn: bool = False  # from a goal region; goals near the start come first
     outcome: str = ""  # counts of drawn poses that gave no configuration
     seconds: float = 0.0  # spent on drawing them [s]
+    # number of given goals, if their other turns follow; the nearest ones are searched first
+    given: int = 0
 
     def near(self, start: np.ndarray, radius: float = 1.0) -> int:
-        """Return the number of drawn goals that are near the start (n,), or 0.
+        """Return the number of goals that are near the start (n,), or 0.
 
-        A goal is near within `radius` [rad], and at most twice as far as the nearest one.
+        Given goals are near if their other turns follow. A drawn goal is near within `radius`
+        [rad], and at most twice as far as the nearest one.
         """
         if not self.drawn:
-            return 0
+            return self.given
         distances = np.linalg.norm(self.configurations - start, axis=1)
         return int((distances <= min(radius, 2.0 * distances.min())).sum())
 
@@ -377,11 +380,28 @@ class Goals:
 def goals_of(problem: GoalProblem) -> Goals:
     """Return the given goals of a problem; if there are none, draw them from its goal region."""
     if len(problem.goals) > 0 or problem.goal_region is None:
-        return Goals(problem.goals)
+        others = _other_turns(problem.robot, problem.goals)
+        if len(others) == 0:
+            return Goals(problem.goals)
+        goals = np.concatenate([problem.goals, others])
+        return Goals(frozen(goals), given=len(problem.goals))
     began = time.perf_counter()
     found = draw_goals(problem)
     configurations = on_manifold(problem, found.configurations)
     return Goals(configurations, True, found.outcome, time.perf_counter() - began)
+
+
+def _other_turns(robot: Robot, goals: np.ndarray) -> np.ndarray:
+    """Return goals (k, n) with one endless joint moved by a whole turn inside its limits.
+
+    The way to the nearest turn of a goal may be blocked.
+    """
+    found = [np.empty((0, robot.dof))]
+    for j in np.flatnonzero(robot.endless):
+        for turn in (-2.0 * np.pi, 2.0 * np.pi):
+            moved = goals + turn * np.eye(robot.dof)[j]
+            found.append(moved[(moved[:, j] >= robot.lower[j]) & (moved[:, j] <= robot.upper[j])])
+    return np.concatenate(found)
 
 
 def draw_goals(problem: GoalProblem) -> GoalSample:

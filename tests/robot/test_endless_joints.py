@@ -57,6 +57,16 @@ def test_a_path_to_another_turn_of_a_goal_is_certified(arm):
     assert not dry_run(problem, motion, current + 0.1).certificate.valid
 
 
+def test_where_the_way_to_the_nearest_turn_is_blocked_another_turn_is_taken(arm):
+    """The tool touches the elbow between -0.3 and -1.7 rad, not on the longer way."""
+    problem = problem_of(arm, -0.3, -1.7)
+    assert len(problem.goals) == 1 and problem.goals[0, -1] == -1.7
+    for planner in ("birrt", "roadmap"):
+        found = solve(problem, planner, Budget(iterations=20_000), seed=0)
+        assert found.solved and found.path.states[-1, -1] == pytest.approx(-1.7 + 2.0 * np.pi)
+    assert certify(problem, found.path).valid
+
+
 def test_a_reading_of_several_turns_is_taken_with_a_warning(arm, caplog):
     problem = problem_of(arm, 15.0, 14.5)
     np.testing.assert_allclose(problem.start[-1], 15.0 - 4.0 * np.pi)
