@@ -228,7 +228,8 @@ def _built(source: Mapping[str, Any], free: Sequence[str] = ()) -> Robot:
         held_joints=held,
         followers=followers,
         soft_limited=soft,
-        bodiless=bodies.bodiless,
+        # those that move come first
+        bodiless=tuple(sorted(bodies.bodiless, key=lambda name: _joint_of(model, name) == 0)),
         remarks=bodies.notes,
         limits={"effort": plausible, **limits},
         files=tuple({**read, **meshes}.items()),
@@ -254,6 +255,11 @@ def _built(source: Mapping[str, Any], free: Sequence[str] = ()) -> Robot:
         for piece, owner in zip(robot.links, owners, strict=True)
     )
     return replace(robot, links=links, self_collision_pairs=pairs, left_out_pairs=left_out)
+
+
+def _joint_of(model: pin.Model, link: str) -> int:
+    """Return the number of the joint that moves a link; 0 if none does."""
+    return int(model.frames[model.getFrameId(link, pin.FrameType.BODY)].parentJoint)
 
 
 def _within_soft_limits(model: pin.Model, urdf: Urdf, planned: Sequence[str]) -> tuple[str, ...]:

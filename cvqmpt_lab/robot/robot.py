@@ -194,7 +194,7 @@ class Robot:
     held_joints: tuple[HeldJoint, ...] = ()  # joints of the URDF that planning does not move
     followers: tuple[Follower, ...] = ()  # joints that mimic planned joints
     soft_limited: tuple[str, ...] = ()  # planned joints whose soft limits are narrower
-    bodiless: tuple[str, ...] = ()  # links with a visual and no collision body
+    bodiless: tuple[str, ...] = ()  # links with a visual and no collision body, moving ones first
     remarks: tuple[str, ...] = ()  # on what was read of the URDF and SRDF otherwise than written
     # (n,) each, by the field's name in `JointLimits`; unknown ones and velocity are left out
     limits: Mapping[str, np.ndarray] = field(default_factory=dict)
