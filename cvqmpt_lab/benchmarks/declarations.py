@@ -267,6 +267,13 @@ def _ompl_suites() -> list[Suite]:
             amounts=(Amount(cost=100.0),),
         ),
         experiment(
+            name="place-task-published",
+            title="The same as the published code has it: from the shelf to the counter",
+            problems=range(5400, 5550),
+            make=_problem("place_task:published_problem"),
+            amounts=(Amount(cost=100.0, late=True),),
+        ),
+        experiment(
             name="place-task-ompl-tuning",
             title="The same on problems that settings were chosen on",
             problems=range(1000, 1100),

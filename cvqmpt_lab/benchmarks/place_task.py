@@ -23,7 +23,7 @@ is grasped, then it collides like the robot, and is put down CAN_LIFT_M above th
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -39,6 +39,7 @@ from cvqmpt_lab.constraints.goals import (
     on_manifold,
     sample_region,
 )
+from cvqmpt_lab.constraints.region_constraint import JumpingConstraint
 from cvqmpt_lab.constraints.task_space_region import (
     FREE,
     UPRIGHT_ROTATION,
@@ -160,6 +161,42 @@ def _mirrored_scene() -> Scene:
         for item in scene.objects
     )
     return Scene("kitchen mirrored", objects)
+
+
+class PublishedProblem(PlanningProblem):
+    """A problem whose constraint function jumps at its bounds, as in the published code."""
+
+    @cached_property
+    def manifold(self) -> JumpingConstraint:
+        """The constraint F(q) = 0."""
+        return JumpingConstraint(self.robot, self.constraint)
+
+
+def published_problem(environment: int) -> PlanningProblem:
+    """Return the place task as the published code has it: from the shelf to the counter.
+
+    The start is one fixed grasp of the can on the shelf, goals are grasps of the can on the
+    counter, and F jumps at its bounds. (The paper's text describes the other direction.)
+    """
+    com = np.copy(shelf_com())
+    straight = replace(grasp_region(com), Bw=np.zeros((6, 2)))
+    found = problem_between(
+        str(environment),
+        _place_scene(),
+        (straight, grasp_region(can_com(environment))),
+        upright_box(),
+        np.random.default_rng(0),  # the same start in every environment
+        what="start grasp",
+    )
+    assert isinstance(found, PlanningProblem)
+    return PublishedProblem(
+        name=found.name,
+        robot=found.robot,
+        scene=found.scene,
+        start=found.start,
+        constraint=found.constraint,
+        goal_region=found.goal_region,
+    )
 
 
 def mirrored_problem(environment: int) -> PlanningProblem | UnsolvableProblem:

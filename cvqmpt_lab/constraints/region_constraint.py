@@ -97,6 +97,21 @@ class RegionConstraint(Constraint):
         return stack_regions(self.robot, self.members, inset)
 
 
+class JumpingConstraint(RegionConstraint):
+    """Regions as the published code constrains them: F jumps at the bounds.
+
+    F_i(q) = x_i - c_i outside the bounds of row i with their centre c_i, and 0 inside. The set
+    F = 0 is that of `RegionConstraint`, but Newton's method aims at the centre and stops at the
+    first state inside the bounds. Only OMPL's planners project so; others end at the bounds.
+    """
+
+    @staticmethod
+    def jumped(residual: np.ndarray, regions: Regions) -> np.ndarray:
+        """Return F (m,) of the signed distances (m,) of x outside the bounds [m, rad]."""
+        half = 0.5 * (regions.upper - regions.lower)
+        return residual + np.sign(residual) * half
+
+
 def stack_regions(robot: Robot, members: Sequence[TaskSpaceRegion], shrink: float = 0.0) -> Regions:
     """Plain arrays of regions.
 

@@ -23,6 +23,7 @@ from ompl import geometric as og
 from ompl import util as ou
 
 from cvqmpt_lab.base.errors import InvalidInputError
+from cvqmpt_lab.constraints.region_constraint import JumpingConstraint
 from cvqmpt_lab.search.cell_grids import free_rows
 from cvqmpt_lab.search.motion import (
     DRAW_NEWTON_ITERATIONS,
@@ -52,10 +53,12 @@ class _Manifold(ob.Constraint):
     def __init__(self, space: ConstrainedSpace, draws: "_Draws | None" = None) -> None:
         super().__init__(space.robot.dof, space.dim, space.arrays.tolerance)
         self._space, self._draws = space, draws
+        self._jumps = isinstance(space.constraint, JumpingConstraint)
 
     def function(self, x: np.ndarray, out: np.ndarray) -> None:
         """Write F(x) at a configuration x (n,)."""
-        out[:] = self._space.residual_and_jacobian(np.array(x))[0]
+        residual = self._space.residual_and_jacobian(np.array(x))[0]
+        out[:] = self._jumped(residual) if self._jumps else residual
 
     def jacobian(self, x: np.ndarray, out: np.ndarray) -> None:
         """Write dF/dx with all rows (tangent spaces need full rank); counts as a Newton step."""
@@ -80,11 +83,31 @@ class _Manifold(ob.Constraint):
     def _project(self, x: np.ndarray) -> bool:
         if not self._space.dim:
             return True
+        if self._jumps:
+            return self._project_to_centre(x)
         q = np.array(x)
         if not self._space.project(q):
             return False
         x[:] = q
         return True
+
+    def _jumped(self, residual: np.ndarray) -> np.ndarray:
+        return JumpingConstraint.jumped(residual, self._space.arrays.regions)
+
+    def _project_to_centre(self, x: np.ndarray) -> bool:
+        """Project x (n,) in place by Newton's method with the jumping F, as published."""
+        arrays = self._space.arrays
+        arrays.counters[PROJECTIONS] += 1
+        q = np.array(x)
+        for _ in range(arrays.max_iterations):
+            residual, jacobian = self._space.residual_and_jacobian(q, full=True)
+            value = self._jumped(residual)
+            if np.linalg.norm(value) <= arrays.tolerance:
+                x[:] = q
+                return True
+            arrays.counters[NEWTON_ITERATIONS] += 1
+            q -= np.linalg.lstsq(jacobian, value, rcond=None)[0]
+        return False
 
 
 class _Draws:

@@ -10,6 +10,9 @@ from ompl import util as ou
 from refusals import refused
 
 from cvqmpt_lab.base.errors import InvalidInputError
+from cvqmpt_lab.benchmarks.place_task import published_problem
+from cvqmpt_lab.constraints.region_constraint import RegionConstraint
+from cvqmpt_lab.constraints.report import displacements
 from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.search import ompl_planners
 from cvqmpt_lab.search.ompl_planners import OmplSearch, published_search, simplified_by_ompl
@@ -125,6 +128,28 @@ def test_goals_are_tried_one_after_the_other_each_with_its_limit(problem):
     # two roots for each search
     assert found.roots == 2 * found.goals_tried
     assert found.vertices == found.counters.extensions + found.roots
+
+
+def test_the_published_task_goes_from_one_grasp_on_the_shelf_to_the_counter():
+    """F jumps at the bounds: projections end near their centre, ours end at the bounds."""
+    first, second = published_problem(1000), published_problem(1001)
+    np.testing.assert_array_equal(first.start, second.start)
+    space = ConstrainedSpace.of(first, ends=first.start[None])
+    manifold = ompl_planners._Manifold(space)
+    bounds = RegionConstraint(first.robot, first.constraint)
+    rng, ours, published = np.random.default_rng(0), [], []
+    for q in first.robot.random_configurations(rng, 200):
+        on_bounds, centred = np.array(q), np.array(q)
+        if space.project(on_bounds) and manifold.project(centred):
+            assert not bounds.residual(centred).any()
+            for x, found in ((on_bounds, ours), (centred, published)):
+                found.append(np.abs(displacements(first.robot, first.constraint[0], x[None])))
+    rows = first.constraint[0].bounded_rows
+    assert len(ours) > 150
+    assert np.median(np.max(published, axis=1)[:, rows]) < 0.05
+    assert np.median(np.max(ours, axis=1)[:, rows].max(axis=1)) > 0.09
+    found = solve(first, "ompl-cvq", Budget(cost=100.0), seed=0, clearance=False)
+    assert found.solved and found.plan.counters.newton_iterations > 0
 
 
 def test_prices_and_samplers_that_make_no_sense_are_refused():
