@@ -22,7 +22,11 @@ from cvqmpt_lab.vqmpt.config import (
     SceneTransformerSizes,
     SequenceConfig,
 )
-from cvqmpt_lab.vqmpt.published_network import PublishedSequenceModel
+from cvqmpt_lab.vqmpt.published_network import (
+    PublishedSequenceModel,
+    centre_count,
+    farthest_points,
+)
 from cvqmpt_lab.vqmpt.scene_transformer import SceneTransformer
 from cvqmpt_lab.vqmpt.transformer_inputs import Ends, group_points
 
@@ -138,15 +142,21 @@ class PublishedStage(SequenceStage):
         self._lower, self._range = limits[0], limits[1] - limits[0]
 
     def cloud_arrays(self, points: np.ndarray) -> dict[str, np.ndarray]:
-        """Return the cloud's points, unchanged."""
-        return {"points": np.asarray(points, dtype=np.float32)}
+        """Return the cloud's points and the order of its farthest ones.
+
+        The order is computed here, in a process that loads data, because a GPU is slow at it.
+        """
+        points = np.asarray(points, dtype=np.float32)
+        point_cloud, _ = self.config.stage2
+        count = centre_count(point_cloud.sa1, len(points))
+        return {"points": points, "order": farthest_points(points, count)}
 
     def predict(self, cloud: Cloud, batch: dict[str, Tensor]) -> dict[str, Tensor]:
         """Compute logits (s, r, l + 1, N + 2) of codes, start token and goal token.
 
         All prefixes of equal length are one batch, since the model has no mask for padding.
         """
-        scene = self.model.encode_scene(cloud["points"])
+        scene = self.model.encode_scene(cloud["points"], cloud["order"])
         ends = [
             (chosen(batch[f"{end}s"], batch[end]) - self._lower) / self._range
             for end in ("start", "goal")

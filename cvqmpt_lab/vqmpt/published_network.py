@@ -66,7 +66,8 @@ class PointConvolution(nn.Module):
         """
         messages = self.local_nn(edges)
         lengths = torch.bincount(centre, minlength=n_centres)
-        return torch.segment_reduce(messages, "max", lengths=lengths, axis=0, unsafe=True)
+        # in float32 also where a GPU computes with half precision
+        return torch.segment_reduce(messages.float(), "max", lengths=lengths, axis=0, unsafe=True)
 
 
 class SetAbstraction(nn.Module):
@@ -77,17 +78,17 @@ class SetAbstraction(nn.Module):
         self.conv = PointConvolution(input_dim, config.widths)
         self.config = config
 
-    def forward(self, features: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
+    def forward(self, features: Tensor, points: Tensor, chosen: Tensor) -> tuple[Tensor, Tensor]:
         """Abstract features at points to fewer centres.
 
         Args:
             features: (b, n, d).
             points: (b, n, 3) [m].
+            chosen: (b, m) int64, indices of the points that become centres.
 
         Returns:
             Features (b, m, d') and centres (b, m, 3) [m].
         """
-        chosen = farthest_point_sampling(points, math.ceil(self.config.ratio * points.shape[1]))
         centres = points.gather(1, chosen[..., None].expand(-1, -1, 3))
         batch, m = centres.shape[:2]
         point, centre = ball_query(points, centres, self.config.radius, self.config.max_neighbours)
@@ -104,10 +105,28 @@ class PointCloudEncoder(nn.Module):
         self.sa1_module = SetAbstraction(3, config.sa1)
         self.sa2_module = SetAbstraction(config.sa1.widths[-1], config.sa2)
 
-    def forward(self, points: Tensor) -> Tensor:
-        """Tokens (b, m, d) of clouds (b, n, 3) [m, robot base frame]."""
-        features, _ = self.sa2_module(*self.sa1_module(points, points))
+    def forward(self, points: Tensor, order: Tensor | None = None) -> Tensor:
+        """Return tokens (b, m, d) of clouds.
+
+        Args:
+            points: (b, n, 3) [m, robot base frame].
+            order: (b, m') int64, indices of their farthest points, see `centre_count`; None: they
+                are computed here, on the CPU.
+        """
+        count = centre_count(self.sa1_module.config, points.shape[1])
+        if order is None:
+            order = farthest_point_sampling(points, count)
+        features, centres = self.sa1_module(points, points, order)
+        # each point is the farthest from those before it, so the first centres are also the
+        # farthest points of all centres
+        first = torch.arange(centre_count(self.sa2_module.config, count), device=points.device)
+        features, _ = self.sa2_module(features, centres, first.expand(len(points), -1))
         return features
+
+
+def centre_count(config: SetAbstractionConfig, points: int) -> int:
+    """Return the number of centres of a level with so many points."""
+    return math.ceil(config.ratio * points)
 
 
 def farthest_point_sampling(points: Tensor, count: int) -> Tensor:
@@ -115,12 +134,12 @@ def farthest_point_sampling(points: Tensor, count: int) -> Tensor:
 
     The first index is 0. Of equally far points the one with the lowest index is taken.
     """
-    each = [_farthest_of_one(cloud.detach().cpu().numpy(), count) for cloud in points]
+    each = [farthest_points(cloud.detach().cpu().numpy(), count) for cloud in points]
     return torch.from_numpy(np.stack(each)).to(points.device)
 
 
-def _farthest_of_one(points: np.ndarray, count: int) -> np.ndarray:
-    """Return farthest points (count,) of one cloud (n, 3), in numpy: 5 times as fast as torch."""
+def farthest_points(points: np.ndarray, count: int) -> np.ndarray:
+    """Return indices (count,) of farthest points of a cloud (n, 3), 5 times as fast as torch."""
     axes = points.T.copy()
     indices = np.zeros(count, dtype=np.int64)
     nearest = np.full(len(points), np.inf, dtype=points.dtype)
@@ -150,7 +169,8 @@ def ball_query(
         centres: (b, m, 3) [m].
         radius: radius of the balls [m]; a point on the surface is not in the ball.
         max_neighbours: maximum number of points of a centre; those of lowest index are taken.
-        pairs_at_once: number of distances in memory; half a megabyte fits the processor's cache.
+        pairs_at_once: number of distances in memory on a CPU; half a megabyte fits its cache. A
+            GPU computes all at once.
 
     Returns:
         Points (e,) and centres (e,) of the pairs, int64 indices into all clouds concatenated.
@@ -159,7 +179,7 @@ def ball_query(
     batch, n, m = len(points), points.shape[1], centres.shape[1]
     axes = points.mT.contiguous()
     near = torch.empty(batch, m, n, dtype=torch.bool, device=points.device)
-    at_once = max(1, pairs_at_once // (batch * n))
+    at_once = max(1, pairs_at_once // (batch * n)) if points.is_cpu else m
     for first in range(0, m, at_once):
         block = centres[:, first : first + at_once, :, None]
         squares = (axes[:, None, 0] - block[:, :, 0]).square_()
@@ -264,15 +284,19 @@ class PublishedSequenceModel(nn.Module):
         given, width = config.dictionary.transformer.d_model, sequence.transformer.d_model
         self.enter = nn.Identity() if given == width else nn.Linear(given, width)
 
-    def encode_scene(self, clouds: Sequence[Tensor] | Tensor) -> Tensor:
+    def encode_scene(
+        self, clouds: Sequence[Tensor] | Tensor, order: Tensor | None = None
+    ) -> Tensor:
         """Encode s clouds (n, 3) [m, robot base frame] to scene tokens (s, m, d_model).
+
+        order: see `PointCloudEncoder.forward`.
 
         Raises:
             InvalidInputError: clouds have fewer than two points.
         """
         if len(clouds[0]) < 2:
             raise InvalidInputError(f"point cloud of {len(clouds[0])} points; give at least 2")
-        return self.context.env_encoder(torch.stack(list(clouds)))
+        return self.context.env_encoder(torch.stack(list(clouds)), order)
 
     @torch.inference_mode()
     def encode_cloud(self, points: np.ndarray) -> Tensor:

@@ -263,9 +263,10 @@ def test_set_abstraction_is_the_maximum_over_a_perceptron_of_balls_around_farthe
     sizes = SetAbstractionConfig(ratio=0.75, radius=0.3, widths=(8, 12), max_neighbours=5)
     module = published_network.SetAbstraction(4, sizes)
     features = torch.rand(2, 60, 4)
-    module(features, points)  # moves the running statistics of the batch norms
+    order = farthest_point_sampling(points, 45)
+    module(features, points, order)  # moves the running statistics of the batch norms
     module.eval()
-    found, centres = module(features, points)
+    found, centres = module(features, points, order)
     assert found.shape == (2, 45, 12)
     chosen = [farthest_by_hand(cloud, 45) for cloud in points]
     for b, m in product(range(2), range(45)):
@@ -280,4 +281,17 @@ def test_set_abstraction_is_the_maximum_over_a_perceptron_of_balls_around_farthe
         torch.testing.assert_close(found[b, m], expected, rtol=1e-4, atol=1e-5)
         torch.testing.assert_close(centres[b, m], centre)
     assert sorted(farthest_point_sampling(points, 60)[0].tolist()) == list(range(60))
+    # the farthest points of the centres are the first centres
+    again = farthest_point_sampling(centres, 34)
+    assert again.tolist() == [list(range(34))] * 2
     assert farthest_point_sampling(torch.zeros(1, 4, 3), 2).tolist() == [[0, 0]]
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="torch finds no GPU here")
+def test_scene_tokens_of_a_gpu_are_those_of_the_processor(points):
+    sizes = SMALL.point_cloud
+    encoder = published_network.PointCloudEncoder(sizes).eval()
+    expected = encoder(points)
+    order = farthest_point_sampling(points, 45).cuda()
+    found = encoder.cuda()(points.cuda(), order)
+    torch.testing.assert_close(found.cpu(), expected, rtol=1e-4, atol=1e-4)
