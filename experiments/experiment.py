@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from cvqmpt_lab.base.errors import InvalidInputError, located, require_choice, whole_number
-from cvqmpt_lab.benchmarks.declarations import SUITES, Suite
+from cvqmpt_lab.benchmarks.declarations import SUITES
 from cvqmpt_lab.benchmarks.suite import suite_named
+from cvqmpt_lab.benchmarks.suite_parts import Suite
 from cvqmpt_lab.external.names import is_external
 from cvqmpt_lab.planning.planners import PLANNERS, planner_named, require_fit
 from cvqmpt_lab.problem import PlanningProblem

@@ -9,9 +9,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cvqmpt_lab.base.errors import InvalidInputError, RunStoreError
-from cvqmpt_lab.benchmarks.declarations import SUITES, Suite
+from cvqmpt_lab.benchmarks.declarations import SUITES
 from cvqmpt_lab.benchmarks.item import ExecutedProblem, SensedProblem
 from cvqmpt_lab.benchmarks.suite import folder_suite, suite_named
+from cvqmpt_lab.benchmarks.suite_parts import Suite
 from cvqmpt_lab.certificate.certificate import Certificate, certify
 from cvqmpt_lab.paper_tables.claims import Evidence
 from cvqmpt_lab.problem import PlanningProblem

@@ -24,7 +24,7 @@ from cvqmpt_lab.results.statistics import (
     problem_key,
     wilson_interval,
 )
-from cvqmpt_lab.search.work import CLEARANCE_COST, PRICES, PYBULLET_CHECK_S, search_work
+from cvqmpt_lab.search.work import CLEARANCE_COST, PRICES, search_work
 
 PUBLISHED_PRICES = PRICES["published"]
 REFERENCE = "birrt"  # baseline of ratios; its work is the measure of difficulty of a problem
@@ -74,7 +74,11 @@ def stored_vertices(row: ResultRow) -> int | None:
 def time_at(row: ResultRow, check: float) -> float | None:
     """Return `own_time` if a state check costs `check` [s] more, and other work in proportion."""
     own, search = own_time(row), search_cost(row)
-    return None if own is None or search is None else own + check / PYBULLET_CHECK_S * search
+    return (
+        None
+        if own is None or search is None
+        else own + check / PUBLISHED_PRICES.state_check * search
+    )
 
 
 def newton_steps(row: ResultRow) -> float | None:

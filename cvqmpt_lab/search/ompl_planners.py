@@ -229,9 +229,7 @@ def published_search(range: float = math.inf, free_draws: bool = False) -> OmplS
     return OmplSearch("projected", sampled=True, range=range, free_draws=free_draws)
 
 
-# limits of the published code: of the search for one goal, and of MPNet for two of its states
-GOAL_LIMIT = Budget(cost=2.5)
-PAIR_LIMIT = Budget(cost=5.0)
+GOAL_LIMIT = Budget(cost=2.5)  # of the search for one goal in the published code
 
 
 class _Run:

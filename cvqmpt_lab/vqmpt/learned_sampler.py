@@ -389,11 +389,10 @@ def mpnet(robot: Robot, model: str, bridged: bool = False, in_ompl: bool = False
     """
     network = mpnet_network(model)
     if in_ompl:
-        from cvqmpt_lab.search.ompl_planners import PAIR_LIMIT, published_search
+        from cvqmpt_lab.search.ompl_planners import published_search
 
-        rollouts = MPNetRollouts(
-            network, pair_limit=PAIR_LIMIT, direct=False, joins=published_search()
-        )
+        limit = Budget(cost=5.0)  # of the published code, for two states
+        rollouts = MPNetRollouts(network, pair_limit=limit, direct=False, joins=published_search())
     elif bridged:
         rollouts = MPNetRollouts(network, bridged, rollouts=10)
     else:

@@ -9,7 +9,7 @@ from refusals import refused
 from scipy.spatial.transform import Rotation
 
 from cvqmpt_lab.benchmarks import family_task
-from cvqmpt_lab.benchmarks.declarations import SUITES, Suite
+from cvqmpt_lab.benchmarks.declarations import SUITES
 from cvqmpt_lab.benchmarks.family_task import (
     ARM_SOURCES,
     CONSTRAINT_KINDS,
@@ -25,6 +25,7 @@ from cvqmpt_lab.benchmarks.place_task import (
     place_problem,
 )
 from cvqmpt_lab.benchmarks.suite import suite_named
+from cvqmpt_lab.benchmarks.suite_parts import Suite
 from cvqmpt_lab.planning.pipeline import solve, with_drawn_goals
 from cvqmpt_lab.planning.planners import planner_named
 from cvqmpt_lab.problem import check_problem

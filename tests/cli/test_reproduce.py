@@ -6,7 +6,8 @@ from dataclasses import replace
 import pytest
 
 from cvqmpt_lab.base.errors import UnknownChoiceError
-from cvqmpt_lab.benchmarks.declarations import SUITES, Amount, PlannerGroups
+from cvqmpt_lab.benchmarks.declarations import SUITES
+from cvqmpt_lab.benchmarks.suite_parts import Amount, PlannerGroups
 from cvqmpt_lab.cli.reproduce_command import OverallProgress
 from cvqmpt_lab.experiments import experiment
 from cvqmpt_lab.experiments.experiment import Experiment, parts_of
