@@ -16,7 +16,7 @@ from cvqmpt_lab.certificate.certificate import certify
 from cvqmpt_lab.planning.pipeline import with_drawn_goals
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.search.birrt import BiRRT
-from cvqmpt_lab.search.planner_interface import Uniform
+from cvqmpt_lab.search.planner_interface import Query, Uniform
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.shortcut import simplify
 from cvqmpt_lab.search.space import ConstrainedSpace
@@ -76,8 +76,8 @@ def stage_times(problems: int) -> list[Measured]:
         posed = clock("goals", with_drawn_goals, problem)
         space = clock("space", ConstrainedSpace.of, posed)
         budget = Budget(iterations=20_000)
-        search = BiRRT().search
-        plan = clock("search", search, space, posed.start, posed.goals, uniform, budget, rng)
+        query = Query.of(space, posed.start, posed.goals, budget, rng)
+        plan = clock("search", BiRRT().search, query, uniform)
         if plan.path is not None:
             shorter = clock("shortening", simplify, space, plan.path, rng)
             certificate = clock("certificate", certify, posed, shorter.path)

@@ -81,9 +81,13 @@ def problem_template(source: Mapping[str, Any]) -> dict[str, Any]:
     """Return json of a problem that birrt solves, for the json of a robot.
 
     Raises:
-        InvalidInputError: no such problem is found.
+        InvalidInputError: no such problem is found, or nothing of the robot can collide.
     """
     robot = robot_from_source(source)
+    if robot.nothing_collides:
+        raise InvalidInputError(
+            f"robot {robot.name}: {robot.nothing_collides}; no path among obstacles is certified"
+        )
     head = {
         "$schema": "problem.schema.json",  # written into the folder of the problem
         "schema": PlanningProblem.SCHEMA,

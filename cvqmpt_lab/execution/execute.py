@@ -188,9 +188,10 @@ def execute_motion(
     physics = Physics(contact_time, welded=loads)
     if friction:
         if len(loads) != 1:
+            held = f"{len(loads)} things" if loads else "nothing"
             raise InvalidInputError(
-                f"--hold friction: the problem has {len(loads)} things in the hand and fingers "
-                "hold one; use --hold weld"
+                f"--hold friction: the problem has {held} in the hand and fingers hold one thing; "
+                "use --hold weld"
             )
         (load,) = loads
         T = problem.robot.pose(q) @ load.T_hand_object
