@@ -16,7 +16,7 @@ help:
 	@echo "make venv        .venv to plan and reproduce with, pinned in constraints.txt (PYTHON=python3.11 picks another)"
 	@echo "make venv LOCKED=1   the same from locked.txt, where pip refuses whatever has not the hash that stands there"
 	@echo "make venv-dev    the same with torch and tools, to train, test and develop"
-	@echo "make reproduce   20 problems of the place task, all planners, and their table"
+	@echo "make reproduce   20 problems of the place task: all planners, and the paper's experiment in OMPL"
 	@echo "make test        lint, table regression, the site with all notebooks run, tests"
 	@echo "make notebooks   run all notebooks and store their outputs in them"
 	@echo "make docs        the site in build/site: README, docs, notebooks with their outputs, results, the API"
@@ -70,6 +70,8 @@ warmup: venv
 
 reproduce: warmup
 	@$(BIN)/cvqmpt reproduce place-task --problems 20 --seeds 1 --cutoff 3 --out runs/place-task-small
+	@$(BIN)/cvqmpt reproduce place-task-ompl-tuning --problems 20 --out runs/place-task-ompl-small \
+		--planners ompl-projected,ompl-uniform,ompl-cvq,ompl-opt-cvq,ompl-cvq-tuned
 	@$(BIN)/cvqmpt report runs/place-task-small
 
 lint: venv-dev
