@@ -80,20 +80,24 @@ lint: venv-dev
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-check-tables: venv
+check-tables: venv warmup
 	$(BIN)/cvqmpt check-tables
 
 pytest: venv-dev
 	$(BIN)/pytest -n 2
 
-docs: venv-dev
+docs: venv-dev warmup
 	$(BIN)/sphinx-build --quiet --fail-on-warning --keep-going -c docs . build/site
 
 notebooks: venv-dev warmup
 	$(BIN)/python docs/run_notebooks.py
 
-# Tests come last, so that their summary is the last thing printed.
-test: lint warmup check-tables docs pytest
+# Two checks run at a time; tests come last, so that their summary is the last thing printed.
+test: venv-dev
+	@failed=0; \
+	$(MAKE) --no-print-directory --keep-going --output-sync=target -j2 lint check-tables docs || failed=1; \
+	$(MAKE) --no-print-directory pytest || failed=1; \
+	exit $$failed
 
 # Each finding is recorded as soon as it is made.
 trust: venv-dev warmup
