@@ -280,20 +280,24 @@ def budget(args: argparse.Namespace, cost: float | None = None) -> Budget:
 def optimize_option(default: str = "") -> Options:
     """Return the option --optimize; `default` is appended to its help text."""
     text = (
-        "spend S seconds more on a shorter path (iterations, if only --iterations limits the run)"
+        "spend S seconds more on a shorter path (iterations if only --iterations limits the run, "
+        "the paper's seconds if --cost does)"
     )
     return {"--optimize": option(text + default, type=not_negative, metavar="S")}
 
 
 def optimize_budget(args: argparse.Namespace, default: float | None = None) -> Budget | None:
     """Return the budget of --optimize in the unit that limits the run; `default` is in seconds."""
-    if args.optimize is None and args.cutoff is None and args.iterations is not None:
+    clockless = args.cutoff is None and (args.iterations is not None or args.cost is not None)
+    if args.optimize is None and clockless:
         return None  # the run must repeat bit for bit
     seconds = default if args.optimize is None else args.optimize
     if not seconds:
         return None
-    if args.iterations is None or args.cutoff is not None:
+    if not clockless:
         return Budget(seconds=seconds)
+    if args.cost is not None:
+        return replace(budget(args), cost=seconds)
     if args.optimize != int(args.optimize):
         raise InvalidInputError(
             f"--optimize {args.optimize:g}: a run limited by --iterations {args.iterations} "

@@ -123,6 +123,8 @@ def _status(plan: PlanResult) -> str:
     if plan.status in (PlanStatus.TIMEOUT, PlanStatus.ITERATION_LIMIT):
         iterations = plan.counters.iterations
         text += f": no path found within {plan.seconds:.3g} s and {iterations} iterations"
+    if plan.status is PlanStatus.COST_LIMIT:
+        text += f": no path found within the cost, after {plan.counters.iterations} iterations"
     return f"{text} ({plan.detail})" if plan.detail else text
 
 

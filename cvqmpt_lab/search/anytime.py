@@ -101,12 +101,14 @@ class Improvement:
 
 
 def check_units(budget: Budget, optimize: Budget) -> None:
-    """Refuse an optimization budget in seconds for a run whose budget is in iterations."""
+    """Refuse an optimization budget in seconds for a run whose budget has no seconds."""
     if budget.seconds is None and optimize.seconds is not None:
+        limit = f"{budget.iterations} iterations"
+        if budget.iterations is None:
+            limit = f"a cost of {budget.cost:g} s"
         raise InvalidInputError(
-            f"optimize: {optimize.seconds:g} s in a run of {budget.iterations} iterations, which "
-            "must not depend on the clock; give optimize in iterations, or the run a budget in "
-            "seconds"
+            f"optimize: {optimize.seconds:g} s in a run of {limit}, which must not depend on the "
+            "clock; give optimize in iterations or as a cost, or the run a budget in seconds"
         )
 
 

@@ -25,6 +25,16 @@ def test_plan_prints_a_report_and_writes_the_path(cvqmpt, problem_file, problem,
     np.testing.assert_array_equal(states[[0, -1]], [problem.start, problem.goals[0]])
 
 
+def test_a_cost_limits_search_and_improvement_without_a_clock(cvqmpt, problem_file):
+    words = f"plan --problem-file {problem_file} --planner birrt"
+    once, again = (json.loads(cvqmpt(f"{words} --cost 100 --json")) for _ in range(2))
+    assert once["solved"] and once["path"] == again["path"] and once["optimize"] is None
+    shorter = json.loads(cvqmpt(f"{words} --cost 100 --optimize 20 --json"))
+    assert shorter["length_rad"] <= once["length_rad"]
+    said = cvqmpt(f"{words} --cost 0.01", code=1)
+    assert "cost_limit: no path found within the cost" in said
+
+
 def test_a_goal_that_collides_is_left_out_and_named(cvqmpt, capsys, problem_file, data, problem):
     folded = [0.0, 0.0, 0.0, -3.07, 0.0, 0.0, 0.0]
     del data["goal_region"]
