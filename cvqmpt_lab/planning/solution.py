@@ -1,7 +1,7 @@
 """The solution of a planning problem, its report for people, and its data for json."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -219,7 +219,7 @@ def solution_data(
         },
         "counts": None if plan.as_is else vars(plan.counters) | {"vertices": plan.vertices},
         "length_rad": shorter.path.length if shorter else None,
-        "optimize": more and vars(more) | {"budget": vars(more.budget), "gained": more.gained},
+        "optimize": more and vars(more) | {"budget": asdict(more.budget), "gained": more.gained},
         "certificate": certificate,
         "path": shorter.path.states.tolist() if shorter else None,
     }
