@@ -86,7 +86,7 @@ class Experiment:
             "iterations": self.budget.iterations,
             **_cost_settings(self.budget),
             "backend": self.backend,
-            **({"optimize": asdict(self.optimize)} if self.optimize else {}),
+            **({"optimize": _limits(self.optimize)} if self.optimize else {}),
             **({"reach_rad": str(self.reach)} if self.reach else {}),
             **suite_named(self.suite).settings,
         }
@@ -105,6 +105,12 @@ class Experiment:
                 # our operations take less time than those that the prices are of
                 longest += min(budget.seconds or math.inf, by_count, budget.cost or math.inf)
         return spare + times * longest
+
+
+def _limits(budget: Budget) -> dict[str, object]:
+    """Return the limits of a budget by name."""
+    plain = {"seconds": budget.seconds, "iterations": budget.iterations}
+    return plain | _cost_settings(budget)
 
 
 def _cost_settings(budget: Budget) -> dict[str, object]:
