@@ -88,8 +88,17 @@ def plant(start: np.ndarray, goals: np.ndarray, capacity: int) -> Trees:
     return trees
 
 
-def enlarged_trees(trees: Trees) -> Trees:
-    """Return the same trees with space for twice as many nodes."""
+def enlarged_trees(trees: Trees, most_bytes: int = 2**30) -> Trees:
+    """Return the same trees with space for twice as many nodes.
+
+    Raises:
+        MemoryError: their nodes would take more than `most_bytes`.
+    """
+    if 2 * trees.nodes.nbytes > most_bytes:
+        raise MemoryError(
+            f"trees of {int(trees.size.sum())} nodes, which have not met, may not grow beyond "
+            f"{most_bytes / 2**30:.2g} GiB; give a smaller cutoff or another planner"
+        )
     nodes = np.concatenate([trees.nodes, np.empty_like(trees.nodes)], axis=1)
     parent = np.concatenate([trees.parent, np.full_like(trees.parent, -1)], axis=1)
     nearest = enlarged_index(trees.nearest, nodes.shape[1])

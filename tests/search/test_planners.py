@@ -22,7 +22,7 @@ from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.store import states_hash
 from cvqmpt_lab.scene.scene import Attachment, SceneObject
 from cvqmpt_lab.scene.shapes import Box, Cylinder
-from cvqmpt_lab.search.birrt import DRAW_MODES, BiRRT, grow, plant
+from cvqmpt_lab.search.birrt import DRAW_MODES, BiRRT, enlarged_trees, grow, plant
 from cvqmpt_lab.search.method import Method
 from cvqmpt_lab.search.ompl_planners import OMPL_STATE_SPACES, OmplSearch
 from cvqmpt_lab.search.planner_interface import GaussianMixture, Proposal, Query, Uniform
@@ -103,6 +103,13 @@ def searched(problem, space, budget, distribution=None, goals=None, **settings):
     goals = problem.goals if goals is None else goals
     query = Query.of(space, problem.start, goals, budget, rng)
     return BiRRT(**settings).search(query, distribution)
+
+
+def test_trees_that_never_meet_do_not_fill_the_memory(problem):
+    trees = plant(problem.start, problem.goals, 4096)
+    assert enlarged_trees(trees).nodes.shape[1] == 2 * trees.nodes.shape[1]
+    with pytest.raises(MemoryError, match=r"21 nodes, which have not met, .* a smaller cutoff"):
+        enlarged_trees(trees, trees.nodes.nbytes)
 
 
 def test_trees_are_enlarged_when_full(problem):
