@@ -184,12 +184,16 @@ class CollisionChecker:
         free = [self._apart(*it) for it in zip(q, needed, known.tolist(), strict=True)]
         return np.array(free, dtype=int), moved.max(axis=1)
 
-    def _pose(self, q: np.ndarray) -> None:
-        """Move all pieces to configuration q (n,)."""
+    def _place(self, q: np.ndarray) -> None:
+        """Move all pieces to configuration q (n,), without the broad phases."""
         values = self.robot.kinematics.joint_values(q)
         pin.updateGeometryPlacements(
             self._model, self._data, self._geometry, self._own_results, values
         )
+
+    def _pose(self, q: np.ndarray) -> None:
+        """Move all pieces to configuration q (n,), and the broad phases."""
+        self._place(q)
         self._own.update()
         for part in self._parts:
             part.update()
@@ -230,10 +234,7 @@ class CollisionChecker:
 
     def _near_pairs(self, q: np.ndarray, gaps: np.ndarray | float) -> list[int]:
         """Move the pieces to q (n,); return own pairs whose balls are at most `gaps` [m] apart."""
-        values = self.robot.kinematics.joint_values(q)
-        pin.updateGeometryPlacements(
-            self._model, self._data, self._geometry, self._own_results, values
-        )
+        self._place(q)
         (first, second), (joints, balls) = self._own_pairs, self._balls
         R = np.array([T.rotation for T in self._data.oMi])
         t = np.array([T.translation for T in self._data.oMi])
