@@ -6,6 +6,7 @@ ablations, which replace a part of the prediction, and bounds.
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -29,6 +30,24 @@ class CodeProposal(Proposal):
 CodePredictor = Callable[[Query, Observation], CodeProposal]
 
 
+def ranked_goals(
+    predictor: SequencePredictor, query: Query, observation: Observation
+) -> tuple[Any, np.ndarray, Timings]:
+    """Return the encoded scene, the goals by predicted cost, and the times of both.
+
+    Args:
+        predictor: a sequence model.
+        query: start and goals.
+        observation: the cloud.
+    """
+    assert observation.cloud is not None
+    began = query.deadline.seconds
+    scene = predictor.encode(observation.cloud, observation.use_cache)
+    encoded = query.deadline.seconds
+    goals = predictor.by_cost(scene, query.start, query.goals)
+    return scene, goals, Timings(encoded - began, query.deadline.seconds - encoded)
+
+
 def network_codes(
     predictor: SequencePredictor,
     all_beams: bool,
@@ -47,11 +66,8 @@ def network_codes(
         observation: the cloud.
         most_goals: maximum number of goals for which sequences are predicted; the search gets all.
     """
-    assert observation.cloud is not None
-    began = query.deadline.seconds
-    scene = predictor.encode(observation.cloud, observation.use_cache)
-    encoded = query.deadline.seconds
-    goals = predictor.by_cost(scene, query.start, query.goals)[:most_goals]
+    scene, ranked, timings = ranked_goals(predictor, query, observation)
+    began, goals = query.deadline.seconds, ranked[:most_goals]
     beams = predictor.hypotheses(scene, query.start, goals, every=all_beams)
     most = None if all_beams else 1
     codes: list[int] = []
@@ -65,7 +81,7 @@ def network_codes(
         codes = list(dict.fromkeys(codes))
     return CodeProposal(
         query.uniform,
-        Timings(encode=encoded - began, predict=query.deadline.seconds - encoded),
+        timings + Timings(predict=query.deadline.seconds - began),
         f"{len(codes)} codes of {len(polylines)} sequences to {len(goals)} goals",
         codes=np.array(codes, dtype=np.int64),
         goals=goals,

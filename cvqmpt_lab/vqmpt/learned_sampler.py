@@ -41,6 +41,7 @@ from cvqmpt_lab.vqmpt.code_predictors import (
     network_codes,
     oracle_codes,
     random_codes,
+    ranked_goals,
     solved_path,
 )
 from cvqmpt_lab.vqmpt.codebook import (
@@ -344,13 +345,9 @@ def learned(
 def _ranked(
     predictor: SequencePredictor, query: Query, observation: Observation
 ) -> tuple[np.ndarray, Timings]:
-    """Return the goals of a query by predicted cost, and the times of encoding and predicting."""
-    assert observation.cloud is not None
-    began = query.deadline.seconds
-    scene = predictor.encode(observation.cloud, observation.use_cache)
-    encoded = query.deadline.seconds
-    goals = predictor.by_cost(scene, query.start, query.goals)
-    return goals, Timings(encode=encoded - began, predict=query.deadline.seconds - encoded)
+    """Return the goals of a query by predicted cost, and the time that this took."""
+    _, goals, timings = ranked_goals(predictor, query, observation)
+    return goals, timings
 
 
 def _host(choice: SamplerChoice) -> tuple[Search, tuple[Budget, ...]]:
