@@ -33,6 +33,8 @@ class Word(StrEnum):
     SAME = "no difference"
     NO_ROWS = "no rows yet"
     OPEN = "inconclusive"
+    STATISTIC = "depends on the statistic"  # by `rule` alone, as the next one
+    HARDWARE = "depends on hardware"
     SMALLER = "same direction, smaller"
     REPLICATED = "replicated"
     UNTESTABLE = "not testable"
@@ -61,6 +63,21 @@ def word_of(gain: Interval, margin: float, reached: float, similar: bool = False
     if high < 0.0:
         return Word.OPPOSITE
     return Word.SMALLER if low > 0.0 else Word.OPEN
+
+
+def share_gain(gains: Sequence[float], level: float) -> Interval:
+    """Return the mean difference of solved fractions with Student's interval.
+
+    Two pseudo-problems are added, one for each side (Agresti and Min 2005). Without them, ten of
+    ten solved by both planners would be certain to be equal.
+
+    Args:
+        gains: differences of the problems.
+        level: two-sided level of the interval.
+    """
+    pseudo = (math.sqrt(0.5), -math.sqrt(0.5))
+    found = student_interval([*gains, *pseudo], 1.0 - level)
+    return found._replace(estimate=fmean(gains), n=len(gains))
 
 
 def sample_size(ratio: float, level: float) -> int:
@@ -116,15 +133,14 @@ class Verdict(NamedTuple):
     def gain(self) -> Interval:
         """Mean over problems with Student's interval at the level of the page.
 
-        For fractions of solved runs two pseudo-problems are added, one for each side (Agresti and
-        Min 2005). Without them, ten of ten solved by both planners would be certain to be equal.
+        For fractions of solved runs see `share_gain`.
         """
         gains = self.gains
         if len(gains) < FEWEST:
             return Interval(fmean(gains) if gains else None, None, None, len(gains))
-        pseudo = [math.sqrt(0.5), -math.sqrt(0.5)] if self.claim.is_share else []
-        found = student_interval([*gains, *pseudo], 1.0 - self.level)
-        return found._replace(estimate=fmean(gains), n=len(gains))
+        if self.claim.is_share:
+            return share_gain(gains, self.level)
+        return student_interval(gains, 1.0 - self.level)
 
     @property
     def reached(self) -> float:

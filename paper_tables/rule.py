@@ -7,31 +7,20 @@ statistic. The rule knows no suite and no planner. It was committed before any r
 
 import math
 from collections.abc import Mapping, Sequence
-from enum import StrEnum
 from statistics import NormalDist
 from typing import NamedTuple
 
 import numpy as np
 
 from cvqmpt_lab.base.errors import InvalidInputError
+from cvqmpt_lab.paper_tables import judging
+from cvqmpt_lab.paper_tables.judging import Word, sample_size, share_gain
 from cvqmpt_lab.results.statistics import Interval, student_interval
 
 FEWEST_PROBLEMS = 30  # for an interval; with 60 of a wide spread it holds the truth in 87 % only
 WIDEST_FACTOR = 1.5  # largest ratio of a bound and the estimate of a replicated effect
 NO_DIFFERENCE = (0.9, 1.0 / 0.9)  # ratios that count as no difference
 LARGEST_WITHOUT_NUMBER = 0.9  # ratio that must not be excluded where the paper prints no number
-
-
-class Word(StrEnum):
-    """Result of a claim against one baseline."""
-
-    REPLICATED = "replicated"
-    SMALLER = "same direction, smaller"
-    SAME = "no difference"
-    OPPOSITE = "opposite"
-    OPEN = "inconclusive"
-    STATISTIC = "depends on the statistic"
-    HARDWARE = "depends on hardware"
 
 
 class Effect(NamedTuple):
@@ -163,13 +152,7 @@ def share_word(own: Sequence[bool], other: Sequence[bool], level: float, margin:
     if len(own) < FEWEST_PROBLEMS:
         return Word.OPEN
     gains = [float(a) - float(b) for a, b in zip(own, other, strict=True)]
-    # two made problems, one for each side, as in Agresti and Min (2005)
-    made = [math.sqrt(0.5), -math.sqrt(0.5)]
-    interval = student_interval([*gains, *made], 1.0 - level)
-    assert interval.low is not None and interval.high is not None
-    if interval.low > -margin:
-        return Word.REPLICATED
-    return Word.OPPOSITE if interval.high < -margin else Word.OPEN
+    return judging.word_of(share_gain(gains, level), margin, 0.0, similar=True)
 
 
 def pooled(effects: Sequence[Interval], level_of_each: float, level: float) -> Interval:
@@ -199,19 +182,23 @@ def pooled(effects: Sequence[Interval], level_of_each: float, level: float) -> I
     return Interval(math.exp(mean), math.exp(mean - half), math.exp(mean + half), len(y))
 
 
-def problems_needed(logs: Sequence[float], level: float, power: float = 0.8) -> int:
-    """Return the number of problems whose interval excludes 1, at the effect of earlier rows.
+def problems_needed(own: Sequence[float], other: Sequence[float], level: float) -> int:
+    """Return the number of problems whose ratio of means excludes 1, at the effect of these rows.
+
+    The standard error of log(mean(own) / mean(other)) is that of the mean of
+    (own - ratio other) / mean(own), the delta method.
 
     Args:
-        logs: log ratios of earlier problems.
-        level: of the interval, two-sided.
-        power: probability that it excludes 1.
+        own: values of the planner, one for each problem.
+        other: values of the baseline.
+        level: level of the interval, two-sided.
     """
-    if len(logs) < FEWEST_PROBLEMS or not np.mean(logs):
+    ours, theirs = np.array(own, dtype=float), np.array(other, dtype=float)
+    ratio = float(ours.mean() / theirs.mean())
+    if len(ours) < FEWEST_PROBLEMS or ratio == 1.0:
         raise InvalidInputError(
-            f"{len(logs)} log ratios of mean {np.mean(logs) if len(logs) else 0:g}: give "
-            f"{FEWEST_PROBLEMS} or more whose mean is not 0"
+            f"{len(ours)} problems with a ratio of means of {ratio:g}: give {FEWEST_PROBLEMS} or "
+            "more whose ratio is not 1"
         )
-    normal = NormalDist()
-    quantiles = normal.inv_cdf(1.0 - level / 2.0) + normal.inv_cdf(power)
-    return math.ceil((quantiles * float(np.std(logs, ddof=1)) / float(np.mean(logs))) ** 2)
+    spread = float(np.std((ours - ratio * theirs) / ours.mean(), ddof=1))
+    return sample_size(spread / abs(math.log(ratio)), level)

@@ -1,14 +1,16 @@
 """The rule for rows inside OMPL, on rows made by hand."""
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 from refusals import refused
 
+from cvqmpt_lab.paper_tables.judging import Word
+from cvqmpt_lab.paper_tables.measures import search_cost
 from cvqmpt_lab.paper_tables.rule import (
     Effect,
-    Word,
     claim_word,
     pooled,
     problems_needed,
@@ -17,7 +19,10 @@ from cvqmpt_lab.paper_tables.rule import (
     word_of,
     word_on_all_hardware,
 )
+from cvqmpt_lab.results.row import read_rows
 from cvqmpt_lab.results.statistics import Interval
+
+RESULTS = Path(__file__).parents[2] / "paper_tables" / "results"
 
 LEVEL = 0.05
 
@@ -113,7 +118,27 @@ def test_kinds_are_pooled_with_the_spread_between_them():
 
 
 def test_the_number_of_problems_is_that_of_a_test_of_the_mean():
-    logs = list(np.random.default_rng(2).normal(-0.5, 1.0, 100_000))
-    assert problems_needed(logs, 0.05) == pytest.approx(((1.96 + 0.8416) / 0.5) ** 2, abs=1.5)
-    refused("give 30 or more whose mean is not 0", problems_needed, [0.1], 0.05)
+    own, other = costs(0.6, n=20_000, spread=0.8)
+    needed = problems_needed(own, other, LEVEL)
+    assert needed >= 30
+    # a study of that size excludes 1 in 80 % of the cases
+    studies = (costs(0.6, n=needed, spread=0.8, seed=seed) for seed in range(60))
+    excluded = [ratio_of_means(*study, LEVEL).high < 1.0 for study in studies]
+    assert 0.65 < np.mean(excluded) < 0.95
+    refused("give 30 or more whose ratio is not 1", problems_needed, [0.1], [0.2], 0.05)
     refused("give as many values of both, all above 0", Effect.of, [1.0], [0.0], 0.05)
+
+
+def test_the_page_of_the_rule_quotes_the_power_of_the_tuning_rows():
+    rows = read_rows(RESULTS / "place-task-ompl-tuning" / "runs.csv")
+    by = {}
+    for row in rows:
+        cost = min(search_cost(row), 100.0) if row.solved else 100.0
+        by.setdefault(row.planner, []).append(cost)
+    cbirrt = by["ompl-projected"]
+    learned = [by[name] for name in ("ompl-cvq", "ompl-opt-cvq")]
+    needed = [problems_needed(own, cbirrt, 0.05 / 12) for own in learned]
+    ratios = [np.mean(own) / np.mean(cbirrt) for own in learned]
+    page = " ".join((RESULTS.parents[1] / "docs" / "judgement.md").read_text().split())
+    assert "is {:.2f} and {:.2f}".format(*ratios) in page
+    assert "from {} and {} problems on".format(*needed) in page, needed
