@@ -502,6 +502,15 @@ def _task_suites() -> list[Suite]:
             planners=PlannerGroups.claimed,
             amounts=(Amount(late=True),),
         ),
+        multi_sequence(
+            name="multi-sequence-published",
+            title="Multi-sequence task inside OMPL, with the published code's fixed configurations",
+            problems=range(1000, 1066),  # nobody has looked at them
+            make=_problem("place_task:published_task"),
+            planners=("ompl-projected", *PlannerGroups.slow, *PlannerGroups.in_ompl),
+            cost=100.0,
+            amounts=(Amount(cost=100.0, late=True),),
+        ),
     ]
 
 

@@ -19,6 +19,8 @@ published, task k starts free of collision (seed 100 + k), the can is carried to
 of (0.25, -0.45), and two obstacles stand on the counter. Unlike published, opening the door is
 planned, not replayed; the can's final pose is drawn for every task; the can is an obstacle until it
 is grasped, then it collides like the robot, and is put down CAN_LIFT_M above the published height.
+`published_task` reaches the handle and the can in one fixed configuration each and has one final
+pose of the can, as the published code does.
 """
 
 from collections.abc import Mapping, Sequence
@@ -55,6 +57,7 @@ from cvqmpt_lab.scene.articulation import take_out
 from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, Cylinder
 from cvqmpt_lab.tasks.task import Grasp, Hold, Move, Release, Slide, Task, Turn
+from cvqmpt_lab.tasks.world import World, phase_goals
 
 
 @dataclass(frozen=True)
@@ -385,6 +388,46 @@ def sequence_world() -> Scene:
 
 def multi_sequence_task(number: int) -> Task:
     """Return task `number`; 0 to 9 are the paper's, others follow the same distribution."""
+    rng, start = _drawn_start(number)
+    return _multi_sequence(number, start, 0.1 * rng.uniform(size=2))
+
+
+def published_task(number: int) -> Task:
+    """Return task `number` with the fixed configurations and final pose of the published code.
+
+    The published code draws the final pose after it has seeded its generator with 0.
+    """
+    _, start = _drawn_start(number)
+    shift = 0.1 * np.random.RandomState(0).uniform(size=4)[2:]
+    task = _multi_sequence(number, start, shift)
+    fixed = dict(zip(PAPER_PHASES[:2], _fixed_configurations(), strict=True))
+    return task.changed(
+        phases=tuple(
+            phase.changed(configuration=fixed[phase.name]) if phase.name in fixed else phase
+            for phase in task.phases
+        )
+    )
+
+
+@lru_cache(maxsize=1)
+def _fixed_configurations() -> tuple[np.ndarray, np.ndarray]:
+    """Return the configurations (n,) at the handle and at the can: the first goals of task 0.
+
+    The published ones stand in files that are not published.
+    """
+    task = multi_sequence_task(0)
+    closed = World.before(task)
+    opened = replace(closed, scene=closed.scene.with_joint(SHELF_DOOR, DOOR_OPEN_RAD))
+    names = [phase.name for _, phase in task.planned]
+    at_handle, at_can = (
+        phase_goals(task, names.index(name), world)[0][0]
+        for name, world in zip(PAPER_PHASES[:2], (closed, opened), strict=True)
+    )
+    return at_handle, at_can
+
+
+def _drawn_start(number: int) -> tuple[np.random.Generator, np.ndarray]:
+    """Return a task's generator, and its start (n,) free of collision [rad]."""
     if number < 0:
         raise InvalidInputError(
             f"multi-sequence task {number}: give 0 or more, the paper's are 0 to 9"
@@ -395,9 +438,15 @@ def multi_sequence_task(number: int) -> Task:
     start = robot.random_configurations(rng, 1)[0]
     while checker.in_collision(start):
         start = robot.random_configurations(rng, 1)[0]
+    return rng, start
+
+
+def _multi_sequence(number: int, start: np.ndarray, shift: np.ndarray) -> Task:
+    """Return task `number` from a start (n,) [rad]; shift: of the can's final place (2,) [m]."""
+    robot = robot_from_source({"name": "panda"})
     # where the can's centre of mass goes: within a square of a decimetre
     target = np.array((0.25, -0.45, 0.271 + CAN_LIFT_M))
-    target[:2] += 0.1 * rng.uniform(size=2)
+    target[:2] += shift
     grasp = grasp_region(shelf_com())
     approach = 0.08  # [m] straight to the can: depth of the fingers, and 3 mm of play
     pregrasp = TaskSpaceRegion(grasp.T0_w, grasp.Tw_e @ pose((0.0, 0.0, -approach)), grasp.Bw)

@@ -272,7 +272,9 @@ def _parts(query: Query, stages: Stages) -> Iterator[Query]:
     if not stages.goals_apart:
         yield query
         return
-    for limit in stages.goal_limits or (None,):
+    # the published code limits the searches for goals only where there is a constraint
+    limits = stages.goal_limits if query.space.dim else ()
+    for limit in limits or (None,):
         yield from query.one_by_one(limit)
 
 

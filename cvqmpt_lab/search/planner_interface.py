@@ -337,7 +337,8 @@ class Stages:
     # whether goals are tried one after the other, with a separate prediction for each
     goals_apart: bool = False
     # limits of the searches for each of these goals: all goals are tried with the first one, then
-    # all again with the second one, and so on; empty: an equal share of the budget
+    # all again with the second one, and so on; empty, or without a constraint: an equal share of
+    # the budget
     goal_limits: tuple[Budget, ...] = ()
     # returns the goals (k, n) in the order in which they are tried, and the time that this took
     rank_goals: Callable[[Query, Observation], tuple[np.ndarray, Timings]] | None = None

@@ -4,7 +4,8 @@
 ``cvqmpt-task/1``: "name", "robot", "scene" and "start" as in a problem file, and
 
     "phases": [
-      {"kind": "move", "name", "goal": region, "constraint": [regions], "through": [regions]},
+      {"kind": "move", "name", "goal": region, "constraint": [regions], "through": [regions],
+       "configuration": [joint values]},
       {"kind": "slide", "name", "distance": 0.08, "axis": "z"},
       {"kind": "turn", "name", "value": -1.4, "constraint": chain, "goal": chain},
       {"kind": "hold", "name", "articulation", "gripper": {...}, "may_touch": [[piece, part]]},
@@ -36,6 +37,7 @@ from cvqmpt_lab.base.values import Name
 from cvqmpt_lab.constraints.named import Region
 from cvqmpt_lab.constraints.task_space_region import Axis, TaskSpaceRegionChain
 from cvqmpt_lab.robot.load import State, numbers_of, robot_from_source
+from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import (
     Articulation,
     Attachment,
@@ -57,12 +59,13 @@ class Move(Checked):
     constraint: Annotated[tuple[Region, ...], OneOrMore(Region)] = ()
     # Regions in which it stops before the goal, in order
     through: Annotated[tuple[Region, ...], OneOrMore(Region)] = ()
+    configuration: State | None = None  # (n,), the only goal if it is given [rad or m]
 
     @property
     def legs(self) -> tuple[Move, ...]:
         """One move to each region of `through`, called "NAME/1", "NAME/2", ..., and to the goal."""
         stops = (
-            self.changed(name=f"{self.name}/{k}", goal=region, through=())
+            self.changed(name=f"{self.name}/{k}", goal=region, through=(), configuration=None)
             for k, region in enumerate(self.through, start=1)
         )
         return (*stops, self.changed(through=()))
@@ -186,6 +189,8 @@ class Task(Document):
         scene, held = self.scene, None
         for number, phase in enumerate(self.phases):
             with located(f"task {self.name!r}, phase {number} {phase.name!r}"):
+                if isinstance(phase, Move) and phase.configuration is not None:
+                    _check_configuration(robot, phase.configuration)
                 scene, held = _after(phase, scene, held)
 
     @classmethod
@@ -212,6 +217,18 @@ class Task(Document):
             else:
                 before.append(phase)
         return found
+
+
+def _check_configuration(robot: Robot, q: np.ndarray) -> None:
+    """Refuse a configuration of a move that has another shape, or is outside the joint limits."""
+    if q.shape != (robot.dof,):
+        raise InvalidInputError(
+            f"configuration has shape {q.shape}, robot {robot.name} needs ({robot.dof},)"
+        )
+    if outside := robot.joint_outside_limits(q):
+        raise InvalidInputError(
+            f"configuration: {outside[0]} leaves its limits by {outside[1]:.2g}"
+        )
 
 
 def _after(

@@ -276,6 +276,10 @@ def _sampled(
         Goals (m, n) [rad or m], and the reason if there are none, else "".
     """
     assert problem.goal_region is not None
+    if isinstance(phase, Move) and phase.configuration is not None:
+        if _checker(problem).in_collision(phase.configuration):
+            return np.empty((0, problem.robot.dof)), "the move's configuration is in collision"
+        return phase.configuration[None], ""
     drawn = partial(
         sample_region,
         problem.robot,

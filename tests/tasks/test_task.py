@@ -8,20 +8,21 @@ import pytest
 from refusals import refused
 
 from cvqmpt_lab.base.poses import pose
-from cvqmpt_lab.benchmarks.place_task import carried_can
+from cvqmpt_lab.benchmarks.place_task import carried_can, published_task
 from cvqmpt_lab.certificate.certificate import FaultKind, certify
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.experiments.experiment import Experiment
 from cvqmpt_lab.experiments.run import phase_rows
 from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.scene.shapes import Box, Cylinder, OccupancyMap, Sphere
+from cvqmpt_lab.results.row import PAPER_PHASES
 from cvqmpt_lab.search.birrt import BiRRT
 from cvqmpt_lab.search.method import Method
 from cvqmpt_lab.search.planner_interface import Stages
 from cvqmpt_lab.search.result import Budget, Counters, PlanResult, PlanStatus
 from cvqmpt_lab.tasks.solve import solve_task
-from cvqmpt_lab.tasks.task import Grasp, Release
-from cvqmpt_lab.tasks.world import World
+from cvqmpt_lab.tasks.task import Grasp, Move, Release
+from cvqmpt_lab.tasks.world import World, phase_goals
 
 
 def changed(task, which, **fields):
@@ -201,3 +202,28 @@ def test_a_goal_out_of_reach_names_phase_and_cause(task):
     rows = phase_rows(RUN, solution)
     assert [row.solved for row in rows] == [True] * 4 + [False]
     assert rows[-1].fail_reason == "no_goal" and "inverse kinematics" in rows[-1].detail
+
+
+def test_a_move_to_a_configuration_ends_there(task):
+    """The published task reaches the handle and the can in the same configurations every time."""
+    first, second = published_task(3), published_task(4)
+    ends = {phase.name: phase.configuration for phase in first.phases if isinstance(phase, Move)}
+    assert list(ends) == list(PAPER_PHASES) and ends["carry"] is None
+    for phase in second.planned:
+        if isinstance(phase[1], Move) and phase[1].name != "carry":
+            np.testing.assert_array_equal(phase[1].configuration, ends[phase[1].name])
+    assert not np.array_equal(first.start, second.start)
+    # origin (0.3103, -0.3955) in the published code
+    target = first.phases[-2].goal.T0_w[:2, 3]
+    np.testing.assert_allclose(target, (0.3103, -0.3955), atol=1e-4)
+    reached, reason = phase_goals(first, 0, World.before(first))
+    assert not reason
+    np.testing.assert_array_equal(reached, ends["reach-handle"][None])
+
+
+@pytest.mark.parametrize(
+    ("q", "told"),
+    [(np.zeros(6), r"'reach-can': configuration has shape \(6,\)"), (np.full(7, 9.0), "by ")],
+)
+def test_a_configuration_that_the_arm_cannot_take_is_refused(task, q, told):
+    refused(told, changed, task, "reach-can", configuration=q)
