@@ -13,9 +13,9 @@ from cvqmpt_lab.certificate.certificate import FaultKind, certify
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.experiments.experiment import Experiment
 from cvqmpt_lab.experiments.run import phase_rows
+from cvqmpt_lab.results.row import PAPER_PHASES
 from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.scene.shapes import Box, Cylinder, OccupancyMap, Sphere
-from cvqmpt_lab.results.row import PAPER_PHASES
 from cvqmpt_lab.search.birrt import BiRRT
 from cvqmpt_lab.search.method import Method
 from cvqmpt_lab.search.planner_interface import Stages
