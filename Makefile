@@ -9,6 +9,8 @@ PIP := $(BIN)/python -m pip install --quiet -c constraints.txt
 install = { command -v uv >/dev/null && uv pip install --quiet --python $(BIN)/python -c constraints.txt $(1); } || $(PIP) $(1)
 
 .DEFAULT_GOAL := help
+# Without files of bytecode every process of a test compiles all Python that it imports again.
+unexport PYTHONDONTWRITEBYTECODE
 .NOTPARALLEL:
 .PHONY: help venv venv-dev locked inventory audit reproduce test lint warmup check-tables docs notebooks pytest trust wheel bench clean
 
@@ -84,7 +86,7 @@ check-tables: venv warmup
 	$(BIN)/cvqmpt check-tables
 
 pytest: venv-dev
-	$(BIN)/pytest -n 2
+	$(BIN)/pytest -n 2 --dist worksteal
 
 docs: venv-dev warmup
 	$(BIN)/sphinx-build --quiet --fail-on-warning --keep-going -c docs . build/site
