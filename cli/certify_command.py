@@ -10,7 +10,8 @@ from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.certificate.motion_check import dry_run
 from cvqmpt_lab.certificate.record import record, report_lines
 from cvqmpt_lab.cli.options import FLAG, Options, log, numbers, option, positive, refuse_given
-from cvqmpt_lab.cli.problem_options import PROBLEM, ROBOT, chosen_problem, robot_source
+from cvqmpt_lab.cli.problem_arguments import chosen_problem, robot_source
+from cvqmpt_lab.cli.problem_options import PROBLEM, ROBOT
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.trajectory.trajectory import read_motion
 

@@ -17,7 +17,8 @@ from cvqmpt_lab.cli.options import (
     own_command,
     positive_int,
 )
-from cvqmpt_lab.cli.problem_options import ROBOT, robot_source
+from cvqmpt_lab.cli.problem_arguments import robot_source
+from cvqmpt_lab.cli.problem_options import ROBOT
 from cvqmpt_lab.experiments.executors import Lost, local_processes
 from cvqmpt_lab.experiments.run import default_jobs
 from cvqmpt_lab.planning.warm_up import compile_kernels

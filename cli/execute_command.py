@@ -21,14 +21,9 @@ from cvqmpt_lab.cli.options import (
     positive,
     refuse_given,
 )
-from cvqmpt_lab.cli.plan_command import FILM_SUFFIX, MARGIN
-from cvqmpt_lab.cli.problem_options import (
-    BUDGET,
-    PROBLEM,
-    ROBOT,
-    budget,
-    chosen_problem,
-)
+from cvqmpt_lab.cli.plan_command import FILM_SUFFIX
+from cvqmpt_lab.cli.problem_arguments import budget, chosen_problem
+from cvqmpt_lab.cli.problem_options import BUDGET, MARGIN, PROBLEM, ROBOT
 from cvqmpt_lab.execution.execute import (
     CONTACT_TIMES_S,
     Execution,

@@ -1,20 +1,16 @@
-"""Options for problem, robot, budget and planners, and functions that read them."""
+"""Options for problem, robot, budget, scan and margin; `problem_arguments` reads them.
 
-import argparse
+It imports no robot, so that help texts appear at once: names and defaults of the library stand here
+again, and tests/cli/test_startup.py compares them.
+"""
+
 import contextlib
 import math
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from cvqmpt_lab.base.codec import from_plain
-from cvqmpt_lab.base.errors import InvalidInputError, mapping, require_choice
-from cvqmpt_lab.base.files import read_json_object
-from cvqmpt_lab.benchmarks.declarations import SUITES
-from cvqmpt_lab.benchmarks.suite import suite_named
+from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.cli.options import (
     FLAG,
     REPEATED,
@@ -25,16 +21,10 @@ from cvqmpt_lab.cli.options import (
     positive,
     positive_int,
 )
-from cvqmpt_lab.constraints.named import Region
-from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
-from cvqmpt_lab.planning.planners import PLANNERS
-from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.robot.load import group_states, numbers_of, robot_from_source
-from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.search.result import Budget
-from cvqmpt_lab.search.space import BACKENDS
 from cvqmpt_lab.search.work import PRICES
-from cvqmpt_lab.tasks.task import Task
+
+if TYPE_CHECKING:
+    from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 
 
 def _placement(text: str) -> dict[str, Any]:
@@ -145,136 +135,8 @@ BUDGET: Options = {
         metavar="S",
     ),
     "--prices": option(f"prices of --cost: {', '.join(PRICES)} (published)", metavar="NAME"),
-    "--backend": option(f"collision backend: {', '.join(BACKENDS)} (compiled)", default="compiled"),
+    "--backend": option("collision backend: compiled, exact (compiled)", default="compiled"),
 }
-
-
-def robot_source(
-    args: argparse.Namespace, problem_file: Path | None = None
-) -> dict[str, Any] | None:
-    """Return the robot of the command line as json of a problem file; None if none is given.
-
-    Args:
-        args: parsed command line.
-        problem_file: its robot is changed by the options if neither --robot nor --urdf is given.
-    """
-    options = robot_options(args)
-    if args.robot is not None and args.urdf is not None:
-        raise InvalidInputError(f"--robot {args.robot} and --urdf {args.urdf}: give one of the two")
-    if args.robot is not None:
-        return {"name": args.robot, **options}
-    if args.urdf is not None:
-        if args.end_effector is None and not args.end_effectors:
-            raise InvalidInputError(
-                "--urdf needs --end-effector FRAME, a frame of that URDF; cvqmpt robot "
-                f"{args.urdf} suggests one"
-            )
-        return {"urdf": str(args.urdf.absolute()), **options}
-    if options and problem_file is None:
-        raise InvalidInputError(
-            f"{', '.join(ROBOT_DETAILS)} describe the robot of --robot or --urdf; give it"
-        )
-    if not options or problem_file is None:
-        return None
-    data = read_json_object(problem_file, "problem file")
-    own = mapping(data.get("robot"), f"{problem_file}: robot")
-    locked = mapping(own.get("locked", {}), f"{problem_file}: robot.locked")
-    return {**own, **options, "locked": {**locked, **options.get("locked", {})}}
-
-
-def chosen_robot(args: argparse.Namespace) -> Robot:
-    """Return the robot of the command line, by default the Panda."""
-    return robot_from_source(robot_source(args) or {"name": "panda"})
-
-
-def robot_options(args: argparse.Namespace) -> dict[str, Any]:
-    """Return the given options of `ROBOT_DETAILS` as fields of a problem file's robot."""
-    given = {
-        "end_effector": args.end_effector,
-        "end_effectors": args.end_effectors,
-        "srdf": args.srdf and str(args.srdf.absolute()),
-        "package_dirs": [str(folder.absolute()) for folder in args.package_dir],
-        "locked": dict(args.lock),
-        "base": args.base,
-        "acceleration_limits": args.acceleration,
-        "jerk_limits": args.jerk,
-        "effort_limits": args.effort,
-        "hard_limits": args.hard_limits or None,
-        "visual_as_collision": args.visual_as_collision or None,
-    }
-    return {name: value for name, value in given.items() if value not in (None, [], {})}
-
-
-def configuration(robot: Robot, option: str, text: str) -> np.ndarray:
-    """Return a configuration (n,) from numbers or from the name of a group_state of the SRDF."""
-    named = text if text in group_states(robot) else numbers(option, text, robot.joint_names)
-    return np.array(numbers_of(robot, named, option))
-
-
-def pose_region(option: str, text: str) -> TaskSpaceRegion:
-    """Return the region of one end-effector pose."""
-    x = numbers(option, text, ("x", "y", "z", "roll", "pitch", "yaw"))
-    return from_plain(Region, {"pose": {"at": {"xyz": x[:3], "rpy": x[3:]}}}, option)
-
-
-def name_file(args: argparse.Namespace) -> None:
-    """Store SUITE|FILE as --problem-file or --task-file if it is a file."""
-    if args.suite is None or args.suite in SUITES:
-        return
-    path = Path(args.suite)
-    if path.suffix != ".json" and not path.is_file():
-        return
-    task = read_json_object(path, "problem file").get("schema") == Task.SCHEMA
-    if task and not hasattr(args, "task_file"):
-        raise InvalidInputError(f"{path} is a task; give a problem file")
-    option = "task_file" if task else "problem_file"
-    if getattr(args, option) is not None:
-        raise InvalidInputError(f"{path} and {getattr(args, option)}: give one file")
-    setattr(args, option, path)
-    args.suite = None
-
-
-def chosen_problem(args: argparse.Namespace) -> PlanningProblem | Task:
-    """Return the problem or task of a suite or file."""
-    name_file(args)
-    files = [name for name in ("problem_file", "task_file") if hasattr(args, name)]
-    if sum(getattr(args, name) is not None for name in ("suite", *files)) != 1:
-        options = " or ".join(f"--{name.replace('_', '-')}" for name in files)
-        either = "one of the two" if len(files) == 1 else "one of the three"
-        raise InvalidInputError(f"name a suite ({', '.join(SUITES)}) or give {options}, {either}")
-    if args.problem_file is not None:
-        robot = robot_source(args, args.problem_file)
-        return PlanningProblem.load(args.problem_file, robot=robot, clearance=args.clearance)
-    if robot_source(args):
-        raise InvalidInputError(
-            "--robot and --urdf go with --problem-file or --start; problems of suites and tasks "
-            "have their own robot"
-        )
-    if args.suite is None:
-        return Task.load(args.task_file)
-    return with_clearance(args, suite_named(args.suite).solvable(args.problem))
-
-
-def with_clearance(
-    args: argparse.Namespace, problem: PlanningProblem | Task
-) -> PlanningProblem | Task:
-    """Return the problem with --clearance; a task is unchanged: its hand must touch objects."""
-    if not args.clearance or isinstance(problem, Task):
-        return problem
-    return replace(problem, clearance=args.clearance)
-
-
-def budget(args: argparse.Namespace, cost: float | None = None) -> Budget:
-    """Return the budget of the options; without any: a cost, or 10 s.
-
-    cost: in the paper's seconds [s]; None: 10 s of wall time.
-    """
-    if args.prices is not None and args.cost is None:
-        raise InvalidInputError(f"--prices {args.prices}: give --cost, the limit that they price")
-    if args.cutoff is None and args.iterations is None and args.cost is None:
-        return Budget(seconds=10.0) if cost is None else Budget(cost=cost)
-    name = require_choice("--prices", args.prices or "published", PRICES)
-    return Budget(args.cutoff, args.iterations, args.cost, PRICES[name])
 
 
 def optimize_option(default: str = "") -> Options:
@@ -286,28 +148,145 @@ def optimize_option(default: str = "") -> Options:
     return {"--optimize": option(text + default, type=not_negative, metavar="S")}
 
 
-def optimize_budget(args: argparse.Namespace, default: float | None = None) -> Budget | None:
-    """Return the budget of --optimize in the unit that limits the run; `default` is in seconds."""
-    clockless = args.cutoff is None and (args.iterations is not None or args.cost is not None)
-    if args.optimize is None and clockless:
-        return None  # the run must repeat bit for bit
-    seconds = default if args.optimize is None else args.optimize
-    if not seconds:
-        return None
-    if not clockless:
-        return Budget(seconds=seconds)
-    if args.cost is not None:
-        return replace(budget(args), cost=seconds)
-    if args.optimize != int(args.optimize):
-        raise InvalidInputError(
-            f"--optimize {args.optimize:g}: a run limited by --iterations {args.iterations} "
-            "measures no time; give a whole number of iterations, or add --cutoff"
-        )
-    return Budget(iterations=int(args.optimize))
+def pose_region(option: str, text: str) -> "TaskSpaceRegion":
+    """Return the region of one end-effector pose."""
+    from cvqmpt_lab.base.codec import from_plain
+    from cvqmpt_lab.constraints.named import Region  # imports numba
+
+    x = numbers(option, text, ("x", "y", "z", "roll", "pitch", "yaw"))
+    return from_plain(Region, {"pose": {"at": {"xyz": x[:3], "rpy": x[3:]}}}, option)
 
 
-def planner_list(text: str) -> tuple[str, ...]:
-    """Return names separated by commas; "all" means every planner."""
-    if text == "all":
-        return tuple(PLANNERS)
-    return tuple(name.strip() for name in text.split(",") if name.strip())
+CORNERS = ("X0", "Y0", "Z0", "X1", "Y1", "Z1")
+SCAN: Options = {
+    "cameras of the scan; repeat the options in the order of the files": {
+        "--intrinsics": option(
+            "intrinsics of a depth image: width, height, fx, fy, cx, cy, or a ROS camera_info",
+            type=Path,
+            metavar="F.json|yaml",
+            **REPEATED,
+        ),
+        "--extrinsics": option(
+            "camera pose in the robot's base frame, x right, y down, z forward: 4x4, xyz + "
+            "quaternion or rpy, or ROS's translation + rotation (the base frame)",
+            type=Path,
+            metavar="F.json|yaml",
+            **REPEATED,
+        ),
+        "--scale": option(
+            "metres per unit (1; 0.001 for a 16-bit image), also of extrinsics beyond 100 m",
+            type=positive,
+            metavar="M",
+        ),
+        "--level": option(
+            "find the table and level it, instead of --extrinsics", choices=("table",)
+        ),
+        "--down": option(
+            "downward pitch of the camera of --level, known to 30 deg (40): 0 is "
+            "horizontal, 90 straight down",
+            type=not_negative,
+            metavar="DEG",
+        ),
+        "--front": option(
+            "position of the table's near edge with --level (0.3,0,0) [m]",
+            type=partial(numbers, "--front", names=("X", "Y", "Z")),
+            metavar="X,Y,Z",
+        ),
+    },
+    "filters of the scan": {
+        "--crop": option(
+            "keep the points between two corners [m] (all)",
+            type=partial(numbers, "--crop", names=CORNERS),
+            metavar=",".join(CORNERS),
+        ),
+        "--voxel": option(
+            "edge length of voxels (0.01)",
+            type=positive,
+            default=0.01,
+            metavar="M",
+        ),
+        "--robot-margin": option(
+            "remove points closer to the arm than this (0.05)",
+            type=float,
+            default=0.05,
+            metavar="M",
+        ),
+        "--arm-at": option("configuration of the arm when the scan was taken", metavar="Q"),
+        "--neighbours": option(
+            "remove points with fewer neighbours within three voxels (2)",
+            type=int,
+            default=2,
+            metavar="N",
+        ),
+        "--plane": option(
+            "treatment of the points of the supporting plane (keep)",
+            choices=("keep", "box", "remove"),
+            default="keep",
+        ),
+    },
+    "obstacles made from the scan": {
+        "--map": option(
+            "edge length of the cells of a map (0.02)",
+            type=positive,
+            default=0.02,
+            metavar="M",
+        ),
+        "--padding": option(
+            "inflation radius of the cells (0)", type=float, default=0.0, metavar="M"
+        ),
+        "--unknown": option(
+            "state of cells that no camera ray crossed (free)",
+            choices=("free", "occupied"),
+            default="free",
+        ),
+        "--radius": option(
+            "radius of balls around the points, instead of a map; 0.87 voxels leave no gap",
+            type=positive,
+            metavar="M",
+        ),
+    },
+}
+
+
+MOTION: Options = {
+    "one motion among the obstacles of --cloud or --scene, instead of a suite or a problem file": {
+        "--start": option("configuration, numbers separated by commas [rad or m]", metavar="Q"),
+        "--goal": option(
+            "goal configuration; repeatable: the path ends at any of them", metavar="Q", **REPEATED
+        ),
+        "--start-pose": option(
+            "end-effector pose at the start instead of --start, as --goal-pose",
+            type=partial(pose_region, "--start-pose"),
+            metavar="X,Y,Z,R,P,Y",
+        ),
+        "--goal-pose": option(
+            "end-effector pose to reach instead: x, y, z [m], roll, pitch, yaw [rad]",
+            type=partial(pose_region, "--goal-pose"),
+            metavar="X,Y,Z,R,P,Y",
+        ),
+        "--constraint": option(
+            "upright, upright-box, fixed-orientation, plane, line, pose, relative-pose (the first "
+            "three keep the end effector's orientation at the start, relative-pose=HAND keeps the "
+            "other hand's pose relative to HAND), or a region as json; repeatable",
+            metavar="NAME[=VALUE]|JSON",
+            **REPEATED,
+        ),
+    }
+}
+
+
+MARGIN: Options = {
+    "--margin": option(
+        "margin for position errors of the arm: the path keeps it to obstacles and to bounds of "
+        "position, where start, goals and budget allow it (0.002; 0: none) [m]",
+        type=float,
+        metavar="M",
+        default=0.002,
+    ),
+    "--margin-angle": option(
+        "margin to bounds of rotation and tilt (0.005) [rad]",
+        type=float,
+        metavar="RAD",
+        default=0.005,
+    ),
+}

@@ -44,7 +44,8 @@ from cvqmpt_lab.cli.options import (
     positive_int,
     writable_file,
 )
-from cvqmpt_lab.cli.problem_options import ROBOT, pose_region, robot_source
+from cvqmpt_lab.cli.problem_arguments import robot_source
+from cvqmpt_lab.cli.problem_options import ROBOT, pose_region
 from cvqmpt_lab.constraints.goals import SAMPLE_MARGIN_M, find_in_region
 from cvqmpt_lab.constraints.named import Region
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion

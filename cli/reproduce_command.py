@@ -26,13 +26,8 @@ from cvqmpt_lab.cli.options import (
     positive_int,
     refuse_given,
 )
-from cvqmpt_lab.cli.problem_options import (
-    BUDGET,
-    budget,
-    optimize_budget,
-    optimize_option,
-    planner_list,
-)
+from cvqmpt_lab.cli.problem_arguments import budget, optimize_budget, planner_list
+from cvqmpt_lab.cli.problem_options import BUDGET, optimize_option
 from cvqmpt_lab.cli.tables_command import page_of, show_tables, verdict_lines, write_report
 from cvqmpt_lab.experiments.experiment import PROFILES, Experiment, parts_of, planners_of
 from cvqmpt_lab.experiments.figures.code_update import UpdateSettings

@@ -11,7 +11,8 @@ import numpy as np
 
 from cvqmpt_lab.base.errors import few
 from cvqmpt_lab.cli.options import FLAG, Options, option, writable_file
-from cvqmpt_lab.cli.problem_options import ROBOT_DETAILS, robot_options
+from cvqmpt_lab.cli.problem_arguments import robot_options
+from cvqmpt_lab.cli.problem_options import ROBOT_DETAILS
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.robot.dynamics import without_effort_limit
 from cvqmpt_lab.robot.hulls import OVERLAP

@@ -20,14 +20,13 @@ from cvqmpt_lab.cli.options import (
     Options,
     file_of_kind,
     log,
-    not_negative,
     numbers,
     option,
-    positive,
     refuse_given,
     writable_file,
 )
-from cvqmpt_lab.cli.problem_options import ROBOT, chosen_robot, configuration, pose_region
+from cvqmpt_lab.cli.problem_arguments import chosen_robot, configuration
+from cvqmpt_lab.cli.problem_options import ROBOT, SCAN
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.goals import SAMPLE_MARGIN_M, sample_region
 from cvqmpt_lab.constraints.named import NAMED_REGIONS, Region, upper_axis
@@ -41,7 +40,6 @@ from cvqmpt_lab.scene.shapes import PointCloud
 from cvqmpt_lab.sensing.crop import Crop
 from cvqmpt_lab.sensing.plane import CAMERA_UP
 from cvqmpt_lab.sensing.scan import (
-    MAP_RESOLUTION_M,
     Arm,
     MapSettings,
     Scan,
@@ -50,97 +48,6 @@ from cvqmpt_lab.sensing.scan import (
     refuse_touching,
     scan,
 )
-
-CORNERS = ("X0", "Y0", "Z0", "X1", "Y1", "Z1")
-DEFAULTS = ScanSettings()
-SCAN: Options = {
-    "cameras of the scan; repeat the options in the order of the files": {
-        "--intrinsics": option(
-            "intrinsics of a depth image: width, height, fx, fy, cx, cy, or a ROS camera_info",
-            type=Path,
-            metavar="F.json|yaml",
-            **REPEATED,
-        ),
-        "--extrinsics": option(
-            "camera pose in the robot's base frame, x right, y down, z forward: 4x4, xyz + "
-            "quaternion or rpy, or ROS's translation + rotation (the base frame)",
-            type=Path,
-            metavar="F.json|yaml",
-            **REPEATED,
-        ),
-        "--scale": option(
-            "metres per unit (1; 0.001 for a 16-bit image), also of extrinsics beyond 100 m",
-            type=positive,
-            metavar="M",
-        ),
-        "--level": option(
-            "find the table and level it, instead of --extrinsics", choices=("table",)
-        ),
-        "--down": option(
-            f"downward pitch of the camera of --level, known to 30 deg ({DEFAULTS.down:g}): 0 is "
-            "horizontal, 90 straight down",
-            type=not_negative,
-            metavar="DEG",
-        ),
-        "--front": option(
-            "position of the table's near edge with --level (0.3,0,0) [m]",
-            type=partial(numbers, "--front", names=("X", "Y", "Z")),
-            metavar="X,Y,Z",
-        ),
-    },
-    "filters of the scan": {
-        "--crop": option(
-            "keep the points between two corners [m] (all)",
-            type=partial(numbers, "--crop", names=CORNERS),
-            metavar=",".join(CORNERS),
-        ),
-        "--voxel": option(
-            f"edge length of voxels ({DEFAULTS.voxel})",
-            type=positive,
-            default=DEFAULTS.voxel,
-            metavar="M",
-        ),
-        "--robot-margin": option(
-            f"remove points closer to the arm than this ({DEFAULTS.robot_margin})",
-            type=float,
-            default=DEFAULTS.robot_margin,
-            metavar="M",
-        ),
-        "--arm-at": option("configuration of the arm when the scan was taken", metavar="Q"),
-        "--neighbours": option(
-            f"remove points with fewer neighbours within three voxels ({DEFAULTS.neighbours})",
-            type=int,
-            default=DEFAULTS.neighbours,
-            metavar="N",
-        ),
-        "--plane": option(
-            "treatment of the points of the supporting plane (keep)",
-            choices=("keep", "box", "remove"),
-            default="keep",
-        ),
-    },
-    "obstacles made from the scan": {
-        "--map": option(
-            f"edge length of the cells of a map ({MAP_RESOLUTION_M})",
-            type=positive,
-            default=MAP_RESOLUTION_M,
-            metavar="M",
-        ),
-        "--padding": option(
-            "inflation radius of the cells (0)", type=float, default=0.0, metavar="M"
-        ),
-        "--unknown": option(
-            "state of cells that no camera ray crossed (free)",
-            choices=("free", "occupied"),
-            default="free",
-        ),
-        "--radius": option(
-            "radius of balls around the points, instead of a map; 0.87 voxels leave no gap",
-            type=positive,
-            metavar="M",
-        ),
-    },
-}
 
 
 def scan_of(args: argparse.Namespace, files: Sequence[Path], robot: Robot, arm: Arm | None) -> Scan:
@@ -243,38 +150,6 @@ def scan_report(made: Scan, files: Sequence[Path]) -> Iterator[str]:
             f"plane       flat to {1e3 * made.plane.residual:.1f} mm, at z = "
             f"{made.plane.offset:.3f} m: {done}"
         )
-
-
-MOTION: Options = {
-    "one motion among the obstacles of --cloud or --scene, instead of a suite or a problem file": {
-        "--start": option("configuration, numbers separated by commas [rad or m]", metavar="Q"),
-        "--goal": option(
-            "goal configuration; repeatable: the path ends at any of them", metavar="Q", **REPEATED
-        ),
-        "--start-pose": option(
-            "end-effector pose at the start instead of --start, as --goal-pose",
-            type=partial(pose_region, "--start-pose"),
-            metavar="X,Y,Z,R,P,Y",
-        ),
-        "--goal-pose": option(
-            "end-effector pose to reach instead: x, y, z [m], roll, pitch, yaw [rad]",
-            type=partial(pose_region, "--goal-pose"),
-            metavar="X,Y,Z,R,P,Y",
-        ),
-        "--constraint": option(
-            f"{', '.join(NAMED_REGIONS)} (the first three keep the end effector's orientation at "
-            "the start, relative-pose=HAND keeps the other hand's pose relative to HAND), or a "
-            "region as json; repeatable",
-            metavar="NAME[=VALUE]|JSON",
-            **REPEATED,
-        ),
-    }
-}
-
-
-def motion_given(args: argparse.Namespace) -> bool:
-    """Return whether start, goal or constraint are given."""
-    return any((args.start, args.start_pose, args.goal, args.goal_pose, args.constraint))
 
 
 def motion_problem(args: argparse.Namespace) -> PlanningProblem:

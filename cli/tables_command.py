@@ -20,7 +20,7 @@ from cvqmpt_lab.cli.options import (
     refuse_given,
     writable_file,
 )
-from cvqmpt_lab.cli.problem_options import planner_list
+from cvqmpt_lab.cli.problem_arguments import planner_list
 from cvqmpt_lab.experiments import regression
 from cvqmpt_lab.experiments.regression import EXPECTED
 from cvqmpt_lab.paper_tables import pages

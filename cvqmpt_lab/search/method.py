@@ -14,7 +14,6 @@ from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.search.birrt import BiRRT
 from cvqmpt_lab.search.planner_interface import Stages
-from cvqmpt_lab.sensing.observation import Observer
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,6 +78,8 @@ class Method:
 
         def build(problem: PlanningProblem, model: str) -> Stages:
             stages = self.build(problem, model)
+            from cvqmpt_lab.sensing.observation import Observer  # no other stage needs cameras
+
             if not isinstance(stages.observe, Observer):
                 raise InvalidInputError(f"{self.name} uses no cloud: leave the cloud out")
             cloud = stages.observe.of_points(points)

@@ -7,8 +7,13 @@ from functools import partial
 import pytest
 from command_line import ROOT, python, run
 
+from cvqmpt_lab.cli.main import parser_with
 from cvqmpt_lab.cli.model_command import PROFILE_NAMES, STAGES
+from cvqmpt_lab.constraints.named import NAMED_REGIONS
+from cvqmpt_lab.planning.margins import Margin
 from cvqmpt_lab.planning.planners import PLANNERS
+from cvqmpt_lab.search.space import BACKENDS
+from cvqmpt_lab.sensing.scan import MAP_RESOLUTION_M, ScanSettings
 
 HEAVY = (
     "torch", "scipy.stats", "scipy.optimize", "scipy.interpolate", "scipy.ndimage", "matplotlib",
@@ -93,13 +98,28 @@ def test_weights_and_prediction_need_little_memory():
     assert peaks["opt-cvq-mpt"] - peaks["birrt"] <= 1000 * MOST_MB
 
 
-def test_the_package_alone_and_help_import_next_to_nothing():
-    code = (
-        "from cvqmpt_lab.cli.main import main\ntry: main(['--help'])\nexcept SystemExit: " + REPORT
-    )
+@pytest.mark.parametrize("words", [["--help"], ["plan", "--help"], ["studio", "--help-all"]])
+def test_help_imports_next_to_nothing(words):
+    code = f"from cvqmpt_lab.cli.main import main\ntry: main({words})\nexcept SystemExit: " + REPORT
     modules = set(json.loads(python(code).splitlines()[-1]))
     assert "argparse" in modules
-    assert not modules & {"numpy", "numba", "scipy", "pinocchio", *HEAVY, *LEARNED}
+    assert not modules & {"numpy", "numba", "scipy", "pinocchio", "coal", *HEAVY, *LEARNED}
+
+
+def test_help_of_plan_has_the_names_and_defaults_of_the_library():
+    (commands,) = (a for a in parser_with(["plan"])._actions if a.dest == "command")
+    options = {action.dest: action for action in commands.choices["plan"]._actions}
+    known = {"planner": PLANNERS, "constraint": NAMED_REGIONS, "backend": BACKENDS}
+    for option, names in known.items():
+        words = options[option].help.replace(",", " ").split()
+        assert {*names} <= {*words}, option
+    scan, margin = ScanSettings(), Margin()
+    defaults = {"map": MAP_RESOLUTION_M, "margin": margin.metres, "margin_angle": margin.radians}
+    for name in ("voxel", "robot_margin", "neighbours"):
+        defaults[name] = getattr(scan, name)
+    for option, value in defaults.items():
+        assert options[option].default == value and f"({value}" in options[option].help
+    assert f"({scan.down:g})" in options["down"].help
 
 
 def test_all_planners_reproduce_and_render_without_torch(without_torch, tmp_path):

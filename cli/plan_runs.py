@@ -1,0 +1,287 @@
+"""`cvqmpt plan`: solve one problem or task with one planner; print a report, write files.
+
+`cvqmpt studio`: serve a page on which a problem is changed and planned again.
+"""
+
+import argparse
+import json
+import logging
+import re
+import signal
+import sys
+import threading
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+from cvqmpt_lab.base.errors import InvalidInputError
+from cvqmpt_lab.base.files import csv_table, make_folder, write_text
+from cvqmpt_lab.base.values import bound_text
+from cvqmpt_lab.benchmarks.declarations import SUITES
+from cvqmpt_lab.benchmarks.suite import suite_named
+from cvqmpt_lab.cli.options import ProgressBar, as_json, log, refuse_given, writable_file
+from cvqmpt_lab.cli.plan_command import FILM_SUFFIX, OPTIMIZE_S, PAGE_SUFFIX, RECORDING_SUFFIX
+from cvqmpt_lab.cli.problem_arguments import (
+    budget,
+    chosen_problem,
+    motion_given,
+    name_file,
+    optimize_budget,
+    robot_source,
+    with_clearance,
+)
+from cvqmpt_lab.planning.margins import Margin, solve_with_margin
+from cvqmpt_lab.planning.planners import default_planner, planner_named
+from cvqmpt_lab.planning.solution import Solution, solution_data
+from cvqmpt_lab.planning.warm_up import compile_kernels, warm_up
+from cvqmpt_lab.problem import PlanningProblem, with_projected_start
+from cvqmpt_lab.robot.load import robot_from_source
+from cvqmpt_lab.robot.robot import SLOW_SPEED, Robot
+from cvqmpt_lab.tasks.task import Task
+
+if TYPE_CHECKING:
+    from cvqmpt_lab.tasks.solve import TaskSolution
+
+
+def run(args: argparse.Namespace) -> int:
+    """Plan, print the report and write files; return 1 if no certified path was found."""
+    item = _problem_or_task(args)
+    if args.speed is not None and args.trajectory is None and not isinstance(item, Task):
+        raise InvalidInputError(f"--speed {args.speed} goes with --trajectory OUT.csv; give it")
+    args.speed = SLOW_SPEED if args.speed is None else args.speed
+    if isinstance(item, Task):
+        solution, report = _solved_task(args, item)
+    else:
+        solution, report = _solved_problem(args, item)
+    print(as_json(report) if isinstance(report, dict) else "\n".join(report))
+    # with --json, standard output holds the json object alone
+    say = partial(print, file=sys.stderr if args.json else sys.stdout)
+    if args.save_path and isinstance(solution, Solution) and solution.path:
+        rows = solution.problem.robot.joint_names, *solution.path.states.tolist()
+        write_text(args.save_path, csv_table(rows))
+        say(f"path written to {args.save_path}")
+    if args.trajectory:
+        say(
+            _write_trajectory(args, solution)
+            if isinstance(solution, Solution)
+            else _write_trajectories(args, solution)
+        )
+    for line in _show(args, solution):
+        say(line)
+    return 0 if solution.solved else 1
+
+
+def _solved_problem(
+    args: argparse.Namespace, problem: PlanningProblem
+) -> tuple["Solution | TaskSolution", dict[str, Any] | list[str]]:
+    """Solve a problem; return its solution and report, which is data for --json, else lines."""
+    if args.project_start:
+        problem = with_projected_start(problem)
+    planner, why = (args.planner, "") if args.planner else default_planner(problem)
+    method = planner_named(planner, args.model, args.reach)
+    if args.cloud and not motion_given(args):
+        from cvqmpt_lab.cli.scan_command import arm_of, scanned
+
+        # obstacles are those of the suite or file; the cloud is the input of a network
+        method = method.with_cloud(scanned(args, arm_of(args, problem.robot, problem.start)).points)
+    if args.trajectory:
+        from cvqmpt_lab.scene.cloud_files import kind_of
+        from cvqmpt_lab.trajectory.trajectory import TRAJECTORY_WRITERS
+
+        # a wrong file name or speed is refused before anything is planned
+        kind_of(writable_file(args.trajectory), TRAJECTORY_WRITERS, "trajectory")
+        problem.robot.joint_limits.scaled(args.speed)
+    margin = Margin(args.margin, args.margin_angle).check()
+    warm_up(problem, method, args.backend, log)
+    if args.verbose:
+        logging.basicConfig(format="%(name)s: %(message)s", level=logging.INFO)
+    solution, kept = solve_with_margin(
+        problem,
+        method,
+        budget(args),
+        args.seed,
+        margin,
+        backend=args.backend,
+        optimize=optimize_budget(args, OPTIMIZE_S),
+        near_goals_first=args.suite is None,
+    )
+    if args.json:
+        return solution, solution_data(solution, planner, why, problem) | {"margin": kept}
+    return solution, [*solution.report(planner, why), f"margin      {kept}"]
+
+
+def _solved_task(
+    args: argparse.Namespace, task: Task
+) -> tuple["Solution | TaskSolution", dict[str, Any] | list[str]]:
+    """Solve a task; return its solution and report, which is data for --json, else lines."""
+    # timing needs scipy.interpolate, which takes half a second to import
+    from cvqmpt_lab.tasks.solve import solve_task, task_data, task_lines
+    from cvqmpt_lab.trajectory.timing import TimingSettings
+
+    of_problems = ("cloud", "optimize", "save_path", "project_start")
+    refuse_given(args, of_problems, "does not go with a task; leave it out")
+    folder = args.trajectory
+    if folder is not None:
+        if folder.suffix or folder.is_file():
+            raise InvalidInputError(
+                f"--trajectory {folder}: a task writes a file for each phase; name a folder"
+            )
+        make_folder(folder)
+    planner = args.planner or "birrt"  # the planner with which tasks were measured
+    method = planner_named(planner, args.model, args.reach)
+    compile_kernels(log)
+    margin = Margin(max(args.margin, args.clearance or 0.0), args.margin_angle).check()
+    timing = TimingSettings(speed=args.speed)
+    # a wrong speed is refused before anything is planned
+    robot_from_source(task.robot).joint_limits.scaled(args.speed)
+    solution = solve_task(task, method, budget(args), args.seed, timing, args.backend, margin)
+    if args.json:
+        return solution, task_data(solution, planner)
+    return solution, task_lines(solution, planner)
+
+
+def _problem_or_task(args: argparse.Namespace) -> PlanningProblem | Task:
+    """Return the problem or task that the command line names."""
+    name_file(args)
+    scan_options = (args.intrinsics, args.extrinsics, args.level, args.down, args.crop)
+    if not args.cloud and any(scan_options):
+        raise InvalidInputError(
+            "--intrinsics, --extrinsics, --level, --down and --crop describe a scan; give --cloud"
+        )
+    given = [
+        name for name in ("suite", "problem_file", "task_file") if getattr(args, name) is not None
+    ]
+    if motion_given(args) and not given:
+        from cvqmpt_lab.cli.scan_command import motion_problem
+
+        return with_clearance(args, motion_problem(args))
+    if len(given) != 1 or motion_given(args) or args.scene:
+        raise InvalidInputError(
+            f"name a suite ({', '.join(SUITES)}), or give --problem-file or --task-file, or "
+            "--start and --goal with --cloud or --scene: one of the four"
+        )
+    return chosen_problem(args)
+
+
+def _write_trajectory(args: argparse.Namespace, solution: Solution) -> str:
+    """Time the certified path, certify and write the motion; return the line to print."""
+    from cvqmpt_lab.certificate.motion_check import certified_motion
+    from cvqmpt_lab.trajectory.timing import TimingSettings
+    from cvqmpt_lab.trajectory.trajectory import save_trajectory
+
+    if not solution.solved or solution.path is None:
+        return "trajectory  none: only certified paths are timed"
+    timing = TimingSettings(speed=args.speed)
+    motion = certified_motion(solution.problem, solution.path, timing)
+    save_trajectory(motion, args.trajectory)
+    return (
+        f"trajectory  {motion.duration:.2f} s at {args.speed:g} of the joint limits, at most "
+        f"{bound_text(motion.deviation, up=True)} rad off the path, certified; written to "
+        f"{args.trajectory}"
+        f"{_not_limited(solution.problem.robot)}"
+    )
+
+
+def _write_trajectories(args: argparse.Namespace, solution: "TaskSolution") -> str:
+    """Write a file for each planned phase, and an index; return the line to print.
+
+    The index lists these files and the gripper's events in the order in which they are executed.
+    """
+    from cvqmpt_lab.tasks.solve import event_of
+    from cvqmpt_lab.trajectory.trajectory import save_trajectory
+
+    if not solution.solved:
+        return "trajectory  none: only tasks whose phases are all certified are written"
+    steps = []
+    for k, (phase, outcome) in enumerate(solution.steps, start=1):
+        step = event_of(phase)
+        if outcome is not None and outcome.arm_trajectory is not None:
+            name = f"{k:02d}-{re.sub('[^A-Za-z0-9_.-]', '-', phase.name)}.json"
+            save_trajectory(outcome.arm_trajectory, args.trajectory / name)
+            step |= {"file": name, "duration_s": outcome.arm_trajectory.duration}
+        steps.append(step)
+    index = args.trajectory / "task.json"
+    text = json.dumps({"task": solution.task.name, "speed": args.speed, "steps": steps}, indent=1)
+    write_text(index, text + "\n")
+    files = sum("file" in step for step in steps)
+    events = f"{len(steps) - files} gripper events"
+    unlimited = _not_limited(robot_from_source(solution.task.robot))
+    return f"trajectory  {files} files and {events}, in order in {index}{unlimited}"
+
+
+def _not_limited(robot: Robot) -> str:
+    """Return a line that lists limits unknown to the timing, or ""."""
+    from cvqmpt_lab.robot.dynamics import without_effort_limit
+
+    missing = [without_effort_limit(robot)]
+    if "jerk" not in robot.limits:
+        missing.append("jerk not limited: give --jerk")
+    said = "; ".join(filter(None, missing))
+    return f"\n            {said}" if said else ""
+
+
+def _show(args: argparse.Namespace, solution: "Solution | TaskSolution") -> list[str]:
+    """Write the picture, film, page or recording of the options; return a line for each."""
+    # some suites show an object in the hand that their problems leave out
+    of_suite = args.suite and isinstance(solution, Solution)
+    carried = suite_named(args.suite).carried if of_suite else ()
+    lines = []
+    suffix = None if args.save is None else args.save.suffix
+    if args.picture:
+        from cvqmpt_lab.show.picture import draw_solution, task_image, write_png
+
+        what = "picture"
+        if isinstance(solution, Solution):
+            draw_solution(solution, args.picture, carried=carried)
+        else:
+            image, names = task_image(solution, (600, 450))
+            write_png(args.picture, image)
+            what = f"picture of {', '.join(names)}"
+        lines.append(f"{what} written to {args.picture}")
+    if suffix == FILM_SUFFIX:
+        from cvqmpt_lab.show.picture import film_solution
+
+        film_solution(solution, args.save, carried=carried, progress=ProgressBar("film"))
+        lines.append(f"film written to {args.save}")
+    if suffix == PAGE_SUFFIX:
+        from cvqmpt_lab.show.web_page import save_page
+
+        save_page(solution, args.save, carried)
+        size = args.save.stat().st_size / 1e6
+        lines.append(
+            f"page written to {args.save} ({size:.1f} MB); open it in a browser, no network is "
+            "needed"
+        )
+    if suffix == RECORDING_SUFFIX:
+        from cvqmpt_lab.show.recording import log_solution
+
+        log_solution(solution, args.save, carried)
+        lines.append(f"recording written to {args.save}; open it with: rerun {args.save}")
+    return lines
+
+
+def serve(args: argparse.Namespace) -> None:
+    """Serve the page until Ctrl-C."""
+    from cvqmpt_lab.show.studio import studio  # half a second to import
+
+    problem = _of_page(args)
+    compile_kernels(log)
+    page = studio(problem, args.port)
+    ended = threading.Event()
+    # Python would lose a KeyboardInterrupt that comes while it collects garbage
+    signal.signal(signal.SIGINT, lambda *_: ended.set())
+    print(f"{page}; Ctrl-C ends it", flush=True)
+    ended.wait()
+    page.stop()
+
+
+def _of_page(args: argparse.Namespace) -> PlanningProblem:
+    """Return the problem of a file or suite, or else a template problem for the named robot."""
+    if args.suite is None and args.problem_file is None:
+        if (source := robot_source(args)) is not None:
+            from cvqmpt_lab.benchmarks.templates import problem_template  # half a second to import
+
+            return PlanningProblem.from_dict(problem_template(source))
+        args.suite = "place-task"
+    if isinstance(problem := chosen_problem(args), PlanningProblem):
+        return problem
+    raise InvalidInputError(f"{args.suite} has tasks of several phases; studio is for problems")

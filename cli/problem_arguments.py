@@ -1,0 +1,176 @@
+"""Functions that read the options for problem, robot, budget and planners."""
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cvqmpt_lab.base.errors import InvalidInputError, mapping, require_choice
+from cvqmpt_lab.base.files import read_json_object
+from cvqmpt_lab.benchmarks.declarations import SUITES
+from cvqmpt_lab.benchmarks.suite import suite_named
+from cvqmpt_lab.cli.options import numbers
+from cvqmpt_lab.cli.problem_options import ROBOT_DETAILS
+from cvqmpt_lab.planning.planners import PLANNERS
+from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.robot.load import group_states, numbers_of, robot_from_source
+from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.search.result import Budget
+from cvqmpt_lab.search.work import PRICES
+from cvqmpt_lab.tasks.task import Task
+
+
+def robot_source(
+    args: argparse.Namespace, problem_file: Path | None = None
+) -> dict[str, Any] | None:
+    """Return the robot of the command line as json of a problem file; None if none is given.
+
+    Args:
+        args: parsed command line.
+        problem_file: its robot is changed by the options if neither --robot nor --urdf is given.
+    """
+    options = robot_options(args)
+    if args.robot is not None and args.urdf is not None:
+        raise InvalidInputError(f"--robot {args.robot} and --urdf {args.urdf}: give one of the two")
+    if args.robot is not None:
+        return {"name": args.robot, **options}
+    if args.urdf is not None:
+        if args.end_effector is None and not args.end_effectors:
+            raise InvalidInputError(
+                "--urdf needs --end-effector FRAME, a frame of that URDF; cvqmpt robot "
+                f"{args.urdf} suggests one"
+            )
+        return {"urdf": str(args.urdf.absolute()), **options}
+    if options and problem_file is None:
+        raise InvalidInputError(
+            f"{', '.join(ROBOT_DETAILS)} describe the robot of --robot or --urdf; give it"
+        )
+    if not options or problem_file is None:
+        return None
+    data = read_json_object(problem_file, "problem file")
+    own = mapping(data.get("robot"), f"{problem_file}: robot")
+    locked = mapping(own.get("locked", {}), f"{problem_file}: robot.locked")
+    return {**own, **options, "locked": {**locked, **options.get("locked", {})}}
+
+
+def chosen_robot(args: argparse.Namespace) -> Robot:
+    """Return the robot of the command line, by default the Panda."""
+    return robot_from_source(robot_source(args) or {"name": "panda"})
+
+
+def robot_options(args: argparse.Namespace) -> dict[str, Any]:
+    """Return the given options of `ROBOT_DETAILS` as fields of a problem file's robot."""
+    given = {
+        "end_effector": args.end_effector,
+        "end_effectors": args.end_effectors,
+        "srdf": args.srdf and str(args.srdf.absolute()),
+        "package_dirs": [str(folder.absolute()) for folder in args.package_dir],
+        "locked": dict(args.lock),
+        "base": args.base,
+        "acceleration_limits": args.acceleration,
+        "jerk_limits": args.jerk,
+        "effort_limits": args.effort,
+        "hard_limits": args.hard_limits or None,
+        "visual_as_collision": args.visual_as_collision or None,
+    }
+    return {name: value for name, value in given.items() if value not in (None, [], {})}
+
+
+def configuration(robot: Robot, option: str, text: str) -> np.ndarray:
+    """Return a configuration (n,) from numbers or from the name of a group_state of the SRDF."""
+    named = text if text in group_states(robot) else numbers(option, text, robot.joint_names)
+    return np.array(numbers_of(robot, named, option))
+
+
+def name_file(args: argparse.Namespace) -> None:
+    """Store SUITE|FILE as --problem-file or --task-file if it is a file."""
+    if args.suite is None or args.suite in SUITES:
+        return
+    path = Path(args.suite)
+    if path.suffix != ".json" and not path.is_file():
+        return
+    task = read_json_object(path, "problem file").get("schema") == Task.SCHEMA
+    if task and not hasattr(args, "task_file"):
+        raise InvalidInputError(f"{path} is a task; give a problem file")
+    option = "task_file" if task else "problem_file"
+    if getattr(args, option) is not None:
+        raise InvalidInputError(f"{path} and {getattr(args, option)}: give one file")
+    setattr(args, option, path)
+    args.suite = None
+
+
+def motion_given(args: argparse.Namespace) -> bool:
+    """Return whether start, goal or constraint are given."""
+    return any((args.start, args.start_pose, args.goal, args.goal_pose, args.constraint))
+
+
+def chosen_problem(args: argparse.Namespace) -> PlanningProblem | Task:
+    """Return the problem or task of a suite or file."""
+    name_file(args)
+    files = [name for name in ("problem_file", "task_file") if hasattr(args, name)]
+    if sum(getattr(args, name) is not None for name in ("suite", *files)) != 1:
+        options = " or ".join(f"--{name.replace('_', '-')}" for name in files)
+        either = "one of the two" if len(files) == 1 else "one of the three"
+        raise InvalidInputError(f"name a suite ({', '.join(SUITES)}) or give {options}, {either}")
+    if args.problem_file is not None:
+        robot = robot_source(args, args.problem_file)
+        return PlanningProblem.load(args.problem_file, robot=robot, clearance=args.clearance)
+    if robot_source(args):
+        raise InvalidInputError(
+            "--robot and --urdf go with --problem-file or --start; problems of suites and tasks "
+            "have their own robot"
+        )
+    if args.suite is None:
+        return Task.load(args.task_file)
+    return with_clearance(args, suite_named(args.suite).solvable(args.problem))
+
+
+def with_clearance(
+    args: argparse.Namespace, problem: PlanningProblem | Task
+) -> PlanningProblem | Task:
+    """Return the problem with --clearance; a task is unchanged: its hand must touch objects."""
+    if not args.clearance or isinstance(problem, Task):
+        return problem
+    return replace(problem, clearance=args.clearance)
+
+
+def budget(args: argparse.Namespace, cost: float | None = None) -> Budget:
+    """Return the budget of the options; without any: a cost, or 10 s.
+
+    cost: in the paper's seconds [s]; None: 10 s of wall time.
+    """
+    if args.prices is not None and args.cost is None:
+        raise InvalidInputError(f"--prices {args.prices}: give --cost, the limit that they price")
+    if args.cutoff is None and args.iterations is None and args.cost is None:
+        return Budget(seconds=10.0) if cost is None else Budget(cost=cost)
+    name = require_choice("--prices", args.prices or "published", PRICES)
+    return Budget(args.cutoff, args.iterations, args.cost, PRICES[name])
+
+
+def optimize_budget(args: argparse.Namespace, default: float | None = None) -> Budget | None:
+    """Return the budget of --optimize in the unit that limits the run; `default` is in seconds."""
+    clockless = args.cutoff is None and (args.iterations is not None or args.cost is not None)
+    if args.optimize is None and clockless:
+        return None  # the run must repeat bit for bit
+    seconds = default if args.optimize is None else args.optimize
+    if not seconds:
+        return None
+    if not clockless:
+        return Budget(seconds=seconds)
+    if args.cost is not None:
+        return replace(budget(args), cost=seconds)
+    if args.optimize != int(args.optimize):
+        raise InvalidInputError(
+            f"--optimize {args.optimize:g}: a run limited by --iterations {args.iterations} "
+            "measures no time; give a whole number of iterations, or add --cutoff"
+        )
+    return Budget(iterations=int(args.optimize))
+
+
+def planner_list(text: str) -> tuple[str, ...]:
+    """Return names separated by commas; "all" means every planner."""
+    if text == "all":
+        return tuple(PLANNERS)
+    return tuple(name.strip() for name in text.split(",") if name.strip())
