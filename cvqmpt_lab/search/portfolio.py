@@ -5,21 +5,27 @@
     3. the trees grow further, first towards the nodes that the roadmap search found free, then
        towards draws around them;
     4. the roadmap is searched again, with a larger limit of work;
-    5. the trees grow further, in turns with trees that walk from rarely chosen cells
-       (`cell_trees`), which find paths through narrow passages.
+    5. the trees grow further, with uniform draws and without a limit of an extension, in turns with
+       trees that walk from rarely chosen cells (`cell_trees`). Cells find paths through mazes in a
+       plane, and get half of the work where the constraint leaves one or two directions to the
+       hand. Elsewhere, as in a cage, they seldom help: the trees come first, and cells get a
+       quarter.
 
 Each turn ends by its work, not by the clock, so the same seed leads to the same path. Numbers were
 chosen on tuning problems, see docs/performance.md.
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TypeAlias
+
+import numpy as np
 
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.search.anytime import informed_roadmap_path
 from cvqmpt_lab.search.birrt import BiRRT, GrowingTrees, result_trees
+from cvqmpt_lab.search.cell_grids import free_rows
 from cvqmpt_lab.search.cell_trees import CellTrees
 from cvqmpt_lab.search.edge_costs import EdgeCosts
 from cvqmpt_lab.search.method import Method
@@ -60,8 +66,12 @@ class Portfolio(BiRRT):
     first: int = 2  # iterations of the trees before the roadmap is searched
     turns: tuple[float, float] = (1_500, 4_000)  # work of the roadmap's two turns
     between: float = 6_000  # work of the trees between them
-    # total work before the first turn of the cells, and work of each turn from then on
+    # total work before the trees draw uniformly again, and work of each turn of the cells
     alone: float = 20_000
+    # work of the trees' turns over that of the cells' turns: where the constraint leaves
+    # one or two directions to the hand, and elsewhere
+    ratios: tuple[float, float] = (1.0, 3.0)
+    late_reach: float = np.inf  # longest extension of the trees after `alone` [rad]
 
     def search(self, query: Query, distribution: SamplingDistribution) -> PlanResult:
         """Search a path from the query's start to any of its goals, see `Search`."""
@@ -110,12 +120,20 @@ class _Run:
         else:
             yield from self._roadmap_turns(method.roadmap)
         yield trees, self.trees.grow(self._query.deadline, began + method.alone - self._space.work)
+        # draws around the free nodes of a roadmap without a path keep the trees near these nodes
+        grown, late = self.trees.trees, replace(method, reach=method.late_reach)
+        self.trees = GrowingTrees(late, self._query, self._uniform)
+        self.trees.trees = grown
+        directions = np.count_nonzero(free_rows(self._space)[:, 1] < 3)
+        ratio = method.ratios[0] if 1 <= directions <= 2 else method.ratios[1]
+        if ratio > 1.0:  # trees find most of the paths
+            yield trees, self.trees.grow(self._query.deadline, ratio * method.alone)
         cells, others = CellTrees(self._query), self._others
         while True:
             found = cells.grow(self._query.deadline, method.alone)
             self._others = others + int(cells.trees.size.sum())
             yield "cells", found
-            yield trees, self.trees.grow(self._query.deadline, method.alone)
+            yield trees, self.trees.grow(self._query.deadline, ratio * method.alone)
 
     def _roadmap_turns(self, roadmap: Roadmap) -> Iterator[Turn]:
         """Yield the roadmap's two turns, and that of the trees between them."""

@@ -14,6 +14,7 @@ from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.planning.planners import planner_named
 from cvqmpt_lab.results.store import states_hash
 from cvqmpt_lab.search.anytime import InformedSamples, improve, informed_roadmap_path
+from cvqmpt_lab.search.birrt import GrowingTrees
 from cvqmpt_lab.search.edge_costs import CLEARANCE_MAX_M, CLEARANCE_MIN_M, reading, readings
 from cvqmpt_lab.search.method import Method
 from cvqmpt_lab.search.motion import motion_free
@@ -262,6 +263,22 @@ def test_cells_take_turns_after_some_work(tuning):
     assert cells.path is not None and cells.sampler in ("uniform", "cells")
     only_trees = turns(tuning, first=1, turns=(1.0, 1.0), between=1.0, alone=1e9)
     assert only_trees.sampler == "uniform" and only_trees.counters != cells.counters
+
+
+def test_after_the_roadmap_trees_draw_from_the_whole_space_without_a_limit(tuning, monkeypatch):
+    """Draws around free nodes of a roadmap without a path kept the trees out of cages."""
+    drawn = []
+    grow = GrowingTrees.grow
+
+    def recorded(trees, *limits, **more):
+        drawn.append((trees._method.reach, trees._distribution.name, type(trees._distribution)))
+        return grow(trees, *limits, **more)
+
+    monkeypatch.setattr(GrowingTrees, "grow", recorded)
+    found = turns(tuning, first=1, between=1.0, turns=(500.0, 1.0), alone=1.0)
+    assert found.sampler in ("uniform", "cells")
+    assert (1.0, "uniform", GaussianMixture) in drawn
+    assert drawn[-1] == (np.inf, "uniform", Uniform)
 
 
 @pytest.mark.parametrize("changes", [{}, {"turns": (50.0, 50.0), "between": 50.0, "alone": 100.0}])
