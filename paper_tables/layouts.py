@@ -363,7 +363,7 @@ def group_table(
 
     Args:
         rows: rows of one suite; a problem's name holds its group, see `split_problem`.
-        published: the paper's numbers; the paper has none of groups.
+        published: numbers of others, for a section of their own.
         what: word for a group, in the singular.
         notes: the first is about the problems, the second about the columns (it is also in the
             caption); names of `COLUMN_NOTES` in braces are replaced.
@@ -386,11 +386,16 @@ def group_table(
     size, suite = f"{len(ordered)} problems, {len(groups)} {what}s", runs.rows[0].suite
     together = table.counted([item for item in found if item.group == ("all",)])
     notes = [note.format(**COLUMN_NOTES) for note in notes]
+    papers = [[what, "planner", "what", "value", "note"]]
+    for value in published:
+        number = f"{value.value} {value.unit}"
+        papers.append([value.table, value.paper_name, value.metric, number, value.note])
+    others = {"Published numbers, not comparable": papers} if published else {}
     return SuiteTable(
         suite,
         size,
         found,
-        {f"By {what}": lines, **together, "Notes": notes},
+        {f"By {what}": lines, **others, **together, "Notes": notes},
         table.latex_groups(f"{size}. {notes[1]}", suite, lines),
     )
 

@@ -92,16 +92,11 @@ def motion_bench_table(
     for robot, found in problems.items():
         whys = list(found.values())
         counts.append([robot, *map(str, (len(whys), *map(whys.count, ("", *reasons))))])
-    papers: list[list[str]] = [["robot", "planner", "what", "value", "note"]]
-    for value in published:
-        number = f"{value.value} {value.unit}"
-        papers.append([value.table, value.paper_name, value.metric, number, value.note])
     first, *rest = made.sections
     sections: Sections = {
         first: made.sections[first],
         "By how hard a problem is": class_lines(kept),
         "Problems": counts,
-        **({"Published numbers, not comparable": papers} if published else {}),
         **{name: made.sections[name] for name in rest},
     }
     size = f"{len(kept)} runs of {sum(map(len, problems.values())) - len(left_out)} problems"
