@@ -10,7 +10,7 @@ from cvqmpt_lab.benchmarks.families import FAMILIES
 from cvqmpt_lab.cli.options import (
     Options,
     ProgressBar,
-    log,
+    compiling,
     not_negative_int,
     one_of,
     option,
@@ -40,7 +40,7 @@ def run(args: argparse.Namespace) -> None:
             raise InvalidInputError("--dictionary is for --labels roadmap; leave it out")
         more["model"] = args.dictionary
     recipe = LABELS[args.labels](args.scenes, args.paths_per_scene, families, args.seed, **more)
-    compile_kernels(log)
+    compile_kernels(compiling())
 
     def in_processes(make: Callable[[int], Shard], numbers: list[int]) -> Iterator[Shard]:
         with local_processes(args.jobs) as executor:

@@ -186,3 +186,8 @@ class ProgressBar:
         elif 10 * done // max(total, 1) > self._tenth or done == total:
             self._tenth = 10 * done // max(total, 1)
             log(f"{self._label} {done}/{total}, {left}  {note}".rstrip())
+
+
+def compiling() -> ProgressBar:
+    """Return the bar of `planning.warm_up.compile_kernels`."""
+    return ProgressBar("compiling kernels, once per machine and version")

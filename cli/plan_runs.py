@@ -18,7 +18,7 @@ from cvqmpt_lab.base.files import csv_table, make_folder, write_text
 from cvqmpt_lab.base.values import bound_text
 from cvqmpt_lab.benchmarks.declarations import SUITES
 from cvqmpt_lab.benchmarks.suite import suite_named
-from cvqmpt_lab.cli.options import ProgressBar, as_json, log, refuse_given, writable_file
+from cvqmpt_lab.cli.options import ProgressBar, as_json, compiling, refuse_given, writable_file
 from cvqmpt_lab.cli.plan_command import FILM_SUFFIX, OPTIMIZE_S, PAGE_SUFFIX, RECORDING_SUFFIX
 from cvqmpt_lab.cli.problem_arguments import (
     budget,
@@ -32,7 +32,7 @@ from cvqmpt_lab.cli.problem_arguments import (
 from cvqmpt_lab.planning.margins import Margin, solve_with_margin
 from cvqmpt_lab.planning.planners import default_planner, planner_named
 from cvqmpt_lab.planning.solution import Solution, solution_data
-from cvqmpt_lab.planning.warm_up import compile_kernels, warm_up
+from cvqmpt_lab.planning.warm_up import compile_kernels, compile_where_none_is, warm_up
 from cvqmpt_lab.problem import PlanningProblem, with_projected_start
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.robot import SLOW_SPEED, Robot
@@ -91,7 +91,7 @@ def _solved_problem(
         kind_of(writable_file(args.trajectory), TRAJECTORY_WRITERS, "trajectory")
         problem.robot.joint_limits.scaled(args.speed)
     margin = Margin(args.margin, args.margin_angle).check()
-    warm_up(problem, method, args.backend, log)
+    warm_up(problem, method, args.backend)
     if args.verbose:
         logging.basicConfig(format="%(name)s: %(message)s", level=logging.INFO)
     solution, kept = solve_with_margin(
@@ -128,7 +128,7 @@ def _solved_task(
         make_folder(folder)
     planner = args.planner or "birrt"  # the planner with which tasks were measured
     method = planner_named(planner, args.model, args.reach)
-    compile_kernels(log)
+    compile_kernels(compiling())
     margin = Margin(max(args.margin, args.clearance or 0.0), args.margin_angle).check()
     timing = TimingSettings(speed=args.speed)
     # a wrong speed is refused before anything is planned
@@ -153,12 +153,16 @@ def _problem_or_task(args: argparse.Namespace) -> PlanningProblem | Task:
     if motion_given(args) and not given:
         from cvqmpt_lab.cli.scan_command import motion_problem
 
+        compile_where_none_is(compiling())
         return with_clearance(args, motion_problem(args))
     if len(given) != 1 or motion_given(args) or args.scene:
         raise InvalidInputError(
             f"name a suite ({', '.join(SUITES)}), or give --problem-file or --task-file, or "
             "--start and --goal with --cloud or --scene: one of the four"
         )
+    if args.suite is not None:
+        suite_named(args.suite)  # an unknown name is refused before anything is compiled
+    compile_where_none_is(compiling())
     return chosen_problem(args)
 
 
@@ -264,7 +268,7 @@ def serve(args: argparse.Namespace) -> None:
     from cvqmpt_lab.show.studio import studio  # half a second to import
 
     problem = _of_page(args)
-    compile_kernels(log)
+    compile_kernels(compiling())
     page = studio(problem, args.port)
     ended = threading.Event()
     # Python would lose a KeyboardInterrupt that comes while it collects garbage

@@ -19,7 +19,7 @@ from cvqmpt_lab.cli.options import (
     WEIGHTS,
     Options,
     ProgressBar,
-    log,
+    compiling,
     one_of,
     option,
     own_command,
@@ -78,7 +78,7 @@ def run(args: argparse.Namespace) -> None:
         optimize=optimize_budget(args),
     )
     out = args.out or Path("runs") / suite.name
-    compile_kernels(log)
+    compile_kernels(compiling())
     with executor_for(experiment, args.jobs or default_jobs(), args.dask) as executor:
         run_experiment(experiment, out, executor, own_command(), ProgressBar(suite.name))
     show_tables(out)
@@ -125,7 +125,7 @@ def _reproduce_all(args: argparse.Namespace) -> None:
     )
     parts, out = parts_of(args.profile), args.out or Path("runs/all")
     jobs = args.jobs or default_jobs()
-    compile_kernels(log)
+    compile_kernels(compiling())
     overall = OverallProgress(part.experiment for part in parts)
     for name, experiment, command in parts:
         folder = out / name
@@ -183,7 +183,7 @@ def figure(args: argparse.Namespace) -> None:
     """Make the figure and print a summary."""
     out = args.out or Path("runs") / args.figure
     settings = UpdateSettings(seed=args.seed)
-    compile_kernels(log)
+    compile_kernels(compiling())
     problems = range(args.problems) if args.figure == "histogram" else (args.problem,)
     updates, written = reproduce_figure(
         args.figure, out, own_command(), problems, args.model, settings

@@ -14,7 +14,14 @@ from packaging.requirements import Requirement
 from cvqmpt_lab.base.errors import CvqmptError, install_command
 from cvqmpt_lab.base.files import write_text
 from cvqmpt_lab.cli.main import THREADS
-from cvqmpt_lab.cli.options import Options, log, one_of, option, positive_int, writable_file
+from cvqmpt_lab.cli.options import (
+    Options,
+    compiling,
+    one_of,
+    option,
+    positive_int,
+    writable_file,
+)
 
 BENCHES = ("stages", "paper-check")
 
@@ -113,7 +120,7 @@ def warmup(args: argparse.Namespace) -> None:
     """Compile every kernel ahead of time, or load compiled ones."""
     from cvqmpt_lab.planning.warm_up import compile_kernels
 
-    seconds = compile_kernels(lambda text: print(text, flush=True))
+    seconds = compile_kernels(compiling())
     print(f"kernels ready after {seconds:.1f} s")
 
 
@@ -123,7 +130,7 @@ def bench(args: argparse.Namespace) -> None:
     from cvqmpt_lab.experiments.stage_times import stage_times, tuning_problems
     from cvqmpt_lab.planning.warm_up import compile_kernels
 
-    compile_kernels(log)
+    compile_kernels(compiling())
     if args.bench == "stages":
         figures = stage_times(args.problems)
     else:

@@ -13,7 +13,7 @@ from cvqmpt_lab.cli.options import (
     REPEATED,
     Options,
     ProgressBar,
-    log,
+    compiling,
     not_negative,
     option,
     positive_int,
@@ -175,7 +175,7 @@ def check_tables(args: argparse.Namespace) -> int:
         guarded, expected = regression.guarded_by(
             regression.Expectations.load(path, command), planners
         )
-    compile_kernels(log)
+    compile_kernels(compiling())
     jobs = args.jobs or default_jobs()
     outcomes = guarded.measure(args.folder, jobs, ProgressBar("check-tables"))
     made_with = regression.made_with()

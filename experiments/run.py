@@ -344,7 +344,7 @@ def _run_in_worker(one_run_a_planner: tuple[Run, ...], run: Run) -> Outcome:
 @lru_cache(maxsize=1)
 def _warm_up(runs: tuple[Run, ...]) -> None:
     """Load compiled code and planner libraries by short runs, so that no row includes this time."""
-    compile_kernels(lambda _: None)
+    compile_kernels(lambda *_: None)
     for run in runs:
         _run_shortly(run)
     _item.cache_clear()

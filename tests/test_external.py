@@ -79,7 +79,7 @@ METADATA = "Metadata-Version: 2.1\nName: their-planners\nVersion: 1.2\n"
 
 @pytest.fixture(scope="module", autouse=True)
 def compiled():
-    compile_kernels(lambda _: None)
+    compile_kernels(lambda *_: None)
 
 
 @pytest.fixture(scope="module", autouse=True)

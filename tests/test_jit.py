@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
@@ -12,7 +13,15 @@ from command_line import python
 from compiled_kernels import from_python
 from refusals import refused
 
-from cvqmpt_lab.base.jit import check_arrays, entry, forget_unused, kernel
+from cvqmpt_lab.base.jit import (
+    KERNEL_FILES,
+    check_arrays,
+    compile_in_processes,
+    entries,
+    entry,
+    forget_unused,
+    kernel,
+)
 from cvqmpt_lab.constraints.region_constraint import RegionConstraint
 from cvqmpt_lab.constraints.task_space_region import upright
 from cvqmpt_lab.robot.kinematics import link_poses
@@ -128,6 +137,28 @@ print(RegionConstraint(panda(), (upright(),)).residual(np.zeros((1, 7))).shape)
 read = [one for one in Entry.all if "unchecked" in vars(one) and "dispatcher" not in vars(one)]
 print(len(read), folder())
 """
+
+
+@pytest.mark.parametrize("cores", [1, 3])
+def test_every_entry_is_compiled_and_counted(monkeypatch, cores):
+    workers = []
+
+    def threads(count, context):  # in place of processes, which would import everything again
+        workers.append(count)
+        return ThreadPoolExecutor(count)
+
+    monkeypatch.setattr("concurrent.futures.ProcessPoolExecutor", threads)
+    monkeypatch.setattr("os.sched_getaffinity", lambda _: range(cores), raising=False)
+    counts = []
+    compile_in_processes(lambda *count: counts.append(count))
+    names = [(one.__module__, one.name) for one in entries()]
+    assert names == sorted(set(names)) and first_entry not in entries()
+    assert {"reach_free", "grow", "motion_free"} <= {name for _, name in names}
+    assert len({module for module, _ in names}) <= len(KERNEL_FILES)
+    first = 1 if cores == 1 else 0
+    assert counts == [(done, len(names)) for done in range(first, len(names) + 1)]
+    assert workers == ([] if cores == 1 else [cores])
+
 
 READ_ONLY = """
 import os, sys

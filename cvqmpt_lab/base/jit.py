@@ -14,6 +14,7 @@ or nan; a product and a sum may become one instruction (saves a quarter of forwa
 
 import contextlib
 import functools
+import os
 import pickle
 import re
 import shutil
@@ -89,17 +90,64 @@ def compiled_before(everything: bool = False) -> bool:
     return place is not None and any(place.glob("complete" if everything else "*.nbc"))
 
 
-def compile_all(first: int = 0, stride: int = 1) -> None:
-    """Compile every entry, or entries first, first + stride, ..."""
+def entries() -> list["Entry"]:
+    """Return every entry of the package, always in the same order; its modules are imported."""
     package = Path(__file__).parents[1]
-    for file in KERNEL_FILES:
-        import_module(".".join(file.relative_to(package.parent).with_suffix("").parts))
-    for compiled in Entry.all[first::stride]:
-        _ = compiled.unchecked
+    modules = [
+        ".".join(file.relative_to(package.parent).with_suffix("").parts) for file in KERNEL_FILES
+    ]
+    for module in modules:
+        import_module(module)
+    found = (one for one in Entry.all if one.__module__ in modules)
+    return sorted(found, key=lambda one: (one.__module__, one.name))
+
+
+def compile_entry(number: int) -> None:
+    """Compile the entry of a number in `entries`, or load its machine code."""
+    _ = entries()[number].unchecked
+
+
+def compile_all(progress: Callable[[int, int], object] = lambda done, total: None) -> None:
+    """Compile every entry that is not on disk, in this process.
+
+    progress: called with the number of entries that are ready, and that of all.
+    """
+    found = entries()
+    for done, one in enumerate(found, 1):
+        _ = one.unchecked
+        progress(done, len(found))
     place = folder()
-    if place is not None and stride == 1:
+    if place is not None:
         with contextlib.suppress(OSError), written_by_owner_only():
             (place / "complete").touch()
+
+
+def compile_in_processes(progress: Callable[[int, int], object]) -> None:
+    """Compile every entry, in as many new processes as there are cores, and load them here.
+
+    progress: called with the number of entries that are compiled, and that of all.
+    """
+    from concurrent.futures import ProcessPoolExecutor, as_completed  # needed once a machine
+    from concurrent.futures.process import BrokenProcessPool
+    from multiprocessing import get_context
+
+    able = hasattr(os, "sched_getaffinity")  # not on macOS
+    cores = len(os.sched_getaffinity(0)) if able else os.cpu_count() or 1
+    if cores == 1 or folder() is None:  # without a folder, no process can use another's work
+        compile_all(progress)
+        return
+    total = len(entries())
+    progress(0, total)
+    # what a killed process leaves is compiled here
+    with (
+        contextlib.suppress(BrokenProcessPool),
+        ProcessPoolExecutor(min(cores, total), get_context("spawn")) as workers,
+    ):
+        compiled = [workers.submit(compile_entry, number) for number in range(total)]
+        for done, one in enumerate(as_completed(compiled), 1):
+            one.result()
+            progress(done, total)
+    compile_all()
 
 
 class Locator(UserProvidedCacheLocator):

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cvqmpt_lab.base.jit import compile_all, compiled_before
+from cvqmpt_lab.base.jit import compile_in_processes, compiled_before, folder
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, upright_box
 from cvqmpt_lab.planning.pipeline import with_drawn_goals
 from cvqmpt_lab.planning.planners import planner_named, require_fit
@@ -21,26 +21,19 @@ from cvqmpt_lab.search.shortcut import simplify
 from cvqmpt_lab.search.space import ConstrainedSpace, direct_motion
 
 
-def compile_kernels(announce: Callable[[str], None]) -> float:
-    """Compile every kernel, in two processes, unless that was done before; call planners' kernels.
+def compile_kernels(progress: Callable[[int, int], object]) -> float:
+    """Compile every kernel, on all cores, unless that was done before; call planners' kernels.
 
     Args:
-        announce: called with a message before a compilation of about a minute.
+        progress: called with the number of functions that are compiled, and that of all; not
+            called where all are on disk.
 
     Returns:
         Wall time [s].
     """
     began = time.perf_counter()
     if not compiled_before(everything=True):
-        from concurrent.futures import ProcessPoolExecutor  # not needed by every `plan`
-        from multiprocessing import get_context
-
-        announce("compiling kernels, about a minute, once per machine and version ...")
-        with ProcessPoolExecutor(1, get_context("spawn")) as helper:
-            others = helper.submit(compile_all, 1, 2)
-            compile_all(0, 2)
-            others.result()
-        compile_all()
+        compile_in_processes(progress)
     robot = panda()
     # configuration with an upright hand [rad]
     start = np.array(
@@ -68,12 +61,17 @@ def compile_kernels(announce: Callable[[str], None]) -> float:
     return time.perf_counter() - began
 
 
-def warm_up(
-    problem: PlanningProblem,
-    method: Method,
-    backend: str,
-    announce: Callable[[str], None] | None = None,
-) -> None:
+def compile_where_none_is(progress: Callable[[int, int], object]) -> None:
+    """Compile every kernel on all cores if none is on disk; progress: see `compile_kernels`.
+
+    Otherwise each is compiled on one core when it is first called. This is also done where no
+    folder can keep machine code: most commands call a part of the kernels.
+    """
+    if folder() is not None and not compiled_before():
+        compile_in_processes(progress)
+
+
+def warm_up(problem: PlanningProblem, method: Method, backend: str) -> None:
     """Run every stage of a planner once, in an empty scene with a random cloud.
 
     Nothing of the problem itself is computed or cached: solving it afterwards takes as long as in a
@@ -83,7 +81,6 @@ def warm_up(
         problem: states the robot, its load and the constraint.
         method: the planner.
         backend: of state checks, "compiled" or "exact".
-        announce: called with a message before a compilation.
 
     Raises:
         InvalidInputError: the planner cannot serve the problem.
@@ -92,8 +89,6 @@ def warm_up(
     # an external planner may use `birrt`; the time of its other preparations is measured
     if method.external:
         method = planner_named("birrt")
-    if announce is not None and not compiled_before():
-        announce("compiling kernels, once per machine and version ...")
     empty = with_drawn_goals(replace(problem, scene=Scene("empty", ())))
     goals = empty.goals if len(empty.goals) else problem.start[None]
     _through_stages(empty.changed(goals=goals), method, backend)

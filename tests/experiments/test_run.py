@@ -33,7 +33,7 @@ FOUR = replace(ONE, problems=(2, 10), planners=("birrt", "guided-birrt"))
 @pytest.fixture(scope="module", autouse=True)
 def compiled():
     """Compile before the fork, so that workers need not load the kernels."""
-    compile_kernels(lambda _: None)
+    compile_kernels(lambda *_: None)
 
 
 def run(experiment, out, jobs=1, on_progress=lambda *_: None):
