@@ -75,7 +75,23 @@ def robot_arrays(robot: Robot, attachments: tuple[Attachment, ...] = ()) -> Robo
 
     found = cached_arrays("robot_geometry", b"".join(made_of), arrays)
     pieces = ConvexShapes(*(found.pop(name) for name in ConvexShapes._fields))
-    return frozen(RobotGeometry(pieces=pieces, largest=float(found.pop("largest")), **found))
+    made = RobotGeometry(pieces=pieces, **found)
+    swing, relative = _swings(robot, made)
+    return frozen(made._replace(body_swing=swing, pair_swing=relative))
+
+
+def _swings(robot: Robot, made: RobotGeometry) -> tuple[np.ndarray, np.ndarray]:
+    """Return `body_swing` and `pair_swing` of a robot's pieces."""
+    extent = np.full((len(robot.kinematics.parent) + 1, len(made.body_link)), -np.inf)
+    roots = made.sphere[made.body_start[:-1]]
+    farthest = np.linalg.norm(roots[:, :3], axis=1) + roots[:, 3]
+    extent[made.body_link, np.arange(len(roots))] = farthest
+    speeds = robot.joint_speeds_from(extent)
+    first, second = speeds[made.pairs.T]
+    # a joint that moves both bodies does not move one against the other
+    apart = np.where((first > 0.0) & (second > 0.0), 0.0, first + second)
+    summed = robot.kinematics.summed
+    return np.ascontiguousarray(summed(speeds)), np.ascontiguousarray(summed(apart))
 
 
 def _too_many_pieces(spec: ShapeSpec, most: int = 2000) -> bool:

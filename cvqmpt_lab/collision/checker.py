@@ -2,18 +2,27 @@
 
 The balls of each body are checked from large to small. A ball that is free by the distance grid
 ends its branch. Pieces in the other leaves are checked against each nearby obstacle by
-`separation.separated`: free means that a separating slab was found. Poses that are not finite count
-as collisions.
+`separation.slab_between`: free means that a separating slab was found. Poses that are not finite
+count as collisions.
+
+One check also tells how far the robot may move (conservative advancement, Mirtich 1996): a body
+whose points move at most `rate` metres per metre of advance stays free for
+
+    advance <= (distance - margin) / rate
 
 In all functions r (p, 3, 3) and t (p, 3) [m] are the poses of the links, a pose is a 12-tuple (9
-rotation entries by rows, then 3 of translation [m]), and margin is in [m].
+rotation entries by rows, then 3 of translation [m]), margin is in [m], and advance [m] is the
+largest one that was proven so far. The functions return it, lowered where something is close, or
+CONTACT.
 """
 
 import numpy as np
 
 from cvqmpt_lab.base.jit import kernel
 from cvqmpt_lab.collision.distance_grid import GRID_REACH_M, cell_of, known_distance
-from cvqmpt_lab.collision.separation import box_separated, compose, separated
+from cvqmpt_lab.collision.separation import compose, slab_between, slab_to_box
+
+CONTACT = -1.0
 
 
 @kernel(inline="machine")
@@ -97,9 +106,17 @@ def _outside(x, half):
     return x - min(max(x, -half), half)
 
 
+@kernel(inline="machine")
+def _lowered(advance, gap, rate, margin):
+    """Largest advance that a gap [m] between two pieces allows, or CONTACT."""
+    if gap > margin + rate * advance:
+        return advance
+    return (gap - margin) / rate if gap > margin else CONTACT
+
+
 @kernel
-def _touches_primitive(pieces, piece, scene, item, pose, centre, reach, margin):
-    """Whether a piece comes within a margin of a primitive of an item.
+def _to_primitives(pieces, piece, scene, item, pose, ball, rate, margin, advance):
+    """Advance that the primitives of an item allow a piece.
 
     Args:
         pieces: of the robot.
@@ -107,13 +124,14 @@ def _touches_primitive(pieces, piece, scene, item, pose, centre, reach, margin):
         scene: a `SceneGeometry`.
         item: number of an item.
         pose: of the world in the frame of the piece's link.
-        centre: of a ball around the piece, in the frame of its link [m].
-        reach: radius of that ball, and the margin [m].
+        ball: centre of a ball around the piece, in the frame of its link, and its radius [m].
+        rate: of the piece.
         margin: [m].
+        advance: [m].
     """
     frame = compose(scene.shapes.rotation[item], scene.shapes.translation[item], pose)
     radius = scene.bounds[item, 15]
-    dx, dy, dz = centre[0] - frame[9], centre[1] - frame[10], centre[2] - frame[11]
+    dx, dy, dz = ball[0] - frame[9], ball[1] - frame[10], ball[2] - frame[11]
     x = frame[0] * dx + frame[3] * dy + frame[6] * dz
     y = frame[1] * dx + frame[4] * dy + frame[7] * dz
     z = frame[2] * dx + frame[5] * dy + frame[8] * dz
@@ -123,24 +141,31 @@ def _touches_primitive(pieces, piece, scene, item, pose, centre, reach, margin):
         a = _outside(x - primitive[0], half[0])
         b = _outside(y - primitive[1], half[1])
         c = _outside(z - primitive[2], half[2])
-        if a * a + b * b + c * c > (reach + radius) * (reach + radius):
+        enough = margin + rate * advance
+        limit = ball[3] + enough + radius
+        if a * a + b * b + c * c > limit * limit:
             continue
         p = _moved(frame, primitive[0], primitive[1], primitive[2])
-        axis = (centre[0] - p[0], centre[1] - p[1], centre[2] - p[2])
-        if not box_separated(pieces, piece, half, radius, frame[:9] + p, axis, margin):
-            return True
-    return False
+        axis = (ball[0] - p[0], ball[1] - p[1], ball[2] - p[2])
+        gap = slab_to_box(pieces, piece, half, radius, frame[:9] + p, axis, enough, margin)
+        advance = _lowered(advance, gap, rate, margin)
+        if advance < 0.0:
+            return CONTACT
+    return advance
 
 
 @kernel(inline="source")
-def _touches_item(r, t, robot, scene, link, node, where, margin):
-    """Whether an item is within a margin of the piece in a leaf.
+def _to_items(r, t, robot, scene, link, node, where, rate, margin, advance):
+    """Advance that nearby items allow the piece in a leaf.
 
     where: x, y, z [m] of its ball's centre, ix, iy, iz of its cell, whether that is in the grid.
     """
     x, y, z, ix, iy, iz, inside = where
-    piece, reach = robot.leaf[node], robot.sphere[node, 3] + margin
-    listed = inside and reach <= GRID_REACH_M
+    piece, radius = robot.leaf[node], robot.sphere[node, 3]
+    # the lists hold what is within GRID_REACH_M: nothing further away is needed
+    if rate * advance > GRID_REACH_M - radius - margin >= 0.0:
+        advance = (GRID_REACH_M - radius - margin) / rate
+    listed = inside and radius + margin <= GRID_REACH_M
     first, count = 0, scene.bounds.shape[0]
     if listed:
         first = scene.grid.list_start[ix >> 1, iy >> 1, iz >> 1]
@@ -149,7 +174,8 @@ def _touches_item(r, t, robot, scene, link, node, where, margin):
     for k in range(first, first + count):
         i = np.int64(scene.grid.items[k]) if listed else np.int64(k)
         ax, ay, az = _closest_face_offset(scene.bounds, i, x, y, z)
-        distance2, limit = ax * ax + ay * ay + az * az, reach + scene.bounds[i, 15]
+        enough = margin + rate * advance
+        distance2, limit = ax * ax + ay * ay + az * az, radius + enough + scene.bounds[i, 15]
         if distance2 > limit * limit:
             continue
         if not distance2 > 0.0:
@@ -159,96 +185,165 @@ def _touches_item(r, t, robot, scene, link, node, where, margin):
             pose[3] * ax + pose[4] * ay + pose[5] * az,
             pose[6] * ax + pose[7] * ay + pose[8] * az,
         )
-        if separated(robot.pieces, piece, scene.shapes, i, pose, axis, margin):
+        gap = slab_between(robot.pieces, piece, scene.shapes, i, pose, axis, enough, margin)
+        if gap > enough:
             continue
-        centre = robot.sphere[node, 0], robot.sphere[node, 1], robot.sphere[node, 2]
-        solid = scene.primitive_start[i] == scene.primitive_start[i + 1]
-        if solid or _touches_primitive(robot.pieces, piece, scene, i, pose, centre, reach, margin):
-            return True
-    return False
+        if scene.primitive_start[i] == scene.primitive_start[i + 1]:
+            advance = _lowered(advance, gap, rate, margin)
+        else:
+            centre = robot.sphere[node, 0], robot.sphere[node, 1], robot.sphere[node, 2]
+            ball = centre + (radius,)
+            advance = _to_primitives(
+                robot.pieces, piece, scene, i, pose, ball, rate, margin, advance
+            )
+        if advance < 0.0:
+            return CONTACT
+    return advance
 
 
 @kernel(inline="source")
-def _touches_obstacle(r, t, robot, scene, body, margin):
-    """Whether an obstacle is within a margin of a body, or the body's pose is not finite."""
+def _to_obstacles(r, t, robot, scene, body, rate, margin, advance):
+    """Advance that obstacles allow a body; CONTACT also if its pose is not finite."""
     link = robot.body_link[body]
     node, end = robot.body_start[body], robot.body_start[body + 1]
     while node < end:
         x, y, z = _placed(r, t, link, robot.sphere, node)
         ix, iy, iz, inside = cell_of(scene.grid, x, y, z)
         if inside:
-            if known_distance(scene.grid, ix, iy, iz) > robot.sphere[node, 3] + margin:
+            enough = margin + rate * advance
+            if known_distance(scene.grid, ix, iy, iz) > robot.sphere[node, 3] + enough:
                 node = robot.skip[node]
                 continue
         elif not abs(x) + abs(y) + abs(z) < np.inf:
-            return True
-        where = x, y, z, ix, iy, iz, inside
-        if robot.leaf[node] >= 0 and _touches_item(r, t, robot, scene, link, node, where, margin):
-            return True
+            return CONTACT
+        if robot.leaf[node] >= 0:
+            where = x, y, z, ix, iy, iz, inside
+            advance = _to_items(r, t, robot, scene, link, node, where, rate, margin, advance)
+            if advance < 0.0:
+                return CONTACT
         node += 1
-    return False
+    return advance
 
 
 @kernel(inline="source")
-def _touches_body(robot, piece, x, y, z, radius, other, pose, margin):
-    """Whether a piece of another body is within a margin of a piece.
+def _to_body(robot, piece, ball, other, pose, rate, margin, advance):
+    """Advance that the pieces of another body allow a piece.
 
     Args:
         robot: a `RobotGeometry`.
         piece: number of the piece.
-        x: of the centre of the piece's ball, in the frame of its link [m].
-        y: of that centre [m].
-        z: of that centre [m].
-        radius: of that ball, and the margin [m].
+        ball: centre of a ball around the piece, in the frame of its link, and its radius [m].
         other: number of the other body.
         pose: of the other body's link in the frame of the piece's link.
+        rate: of the two bodies against each other.
         margin: [m].
+        advance: [m].
     """
     node, end = robot.body_start[other], robot.body_start[other + 1]
     while node < end:
         p = _moved(pose, robot.sphere[node, 0], robot.sphere[node, 1], robot.sphere[node, 2])
-        axis = (x - p[0], y - p[1], z - p[2])
-        limit = radius + robot.sphere[node, 3]
+        axis = (ball[0] - p[0], ball[1] - p[1], ball[2] - p[2])
+        enough = margin + rate * advance
+        limit = ball[3] + robot.sphere[node, 3] + enough
         if axis[0] * axis[0] + axis[1] * axis[1] + axis[2] * axis[2] > limit * limit:
             node = robot.skip[node]
             continue
-        if robot.leaf[node] >= 0 and not separated(
-            robot.pieces, piece, robot.pieces, robot.leaf[node], pose, axis, margin
-        ):
-            return True
+        if robot.leaf[node] >= 0:
+            gap = slab_between(
+                robot.pieces, piece, robot.pieces, robot.leaf[node], pose, axis, enough, margin
+            )
+            advance = _lowered(advance, gap, rate, margin)
+            if advance < 0.0:
+                return CONTACT
         node += 1
-    return False
+    return advance
 
 
 @kernel(inline="source")
-def _bodies_touch(r, t, robot, a, b, xa, ya, za, margin):
-    """Whether bodies a and b come within a margin; xa, ya, za [m]: centre of a's largest ball."""
+def _between_bodies(r, t, robot, a, b, xa, ya, za, rate, margin, advance):
+    """Advance of bodies a and b against each other; xa, ya, za [m]: centre of a's largest ball."""
     la, lb = robot.body_link[a], robot.body_link[b]
     node, end, root = robot.body_start[a], robot.body_start[a + 1], robot.body_start[b]
     xb, yb, zb = _placed(r, t, lb, robot.sphere, root)
-    limit = robot.sphere[node, 3] + robot.sphere[root, 3] + margin
+    limit = robot.sphere[node, 3] + robot.sphere[root, 3] + margin + rate * advance
     if (xa - xb) * (xa - xb) + (ya - yb) * (ya - yb) + (za - zb) * (za - zb) > limit * limit:
-        return False
+        return advance
     world = _world_in_link(r, t, la)
     pose = compose(r[lb], t[lb], world)
     x, y, z = _moved(world, xb, yb, zb)
     while node < end:
         dx, dy, dz = robot.sphere[node, 0] - x, robot.sphere[node, 1] - y, robot.sphere[node, 2] - z
-        radius = robot.sphere[node, 3] + margin
-        limit = radius + robot.sphere[root, 3]
+        limit = robot.sphere[node, 3] + robot.sphere[root, 3] + margin + rate * advance
         if dx * dx + dy * dy + dz * dz > limit * limit:
             node = robot.skip[node]
             continue
         piece = robot.leaf[node]
         if piece >= 0:
-            cx, cy, cz = robot.sphere[node, 0], robot.sphere[node, 1], robot.sphere[node, 2]
-            if _touches_body(robot, piece, cx, cy, cz, radius, b, pose, margin):
-                return True
+            centre = robot.sphere[node, 0], robot.sphere[node, 1], robot.sphere[node, 2]
+            ball = centre + (robot.sphere[node, 3],)
+            advance = _to_body(robot, piece, ball, b, pose, rate, margin, advance)
+            if advance < 0.0:
+                return CONTACT
         node += 1
-    return False
+    return advance
+
+
+@kernel(inline="machine")
+def _rate(swing, motion):
+    """Rate sum_j swing_j motion_j of a body, or of a pair of bodies."""
+    rate = 0.0
+    for j in range(swing.shape[0]):
+        rate += swing[j] * motion[j]
+    return rate
 
 
 @kernel
+def safe_advance(link_rotation, link_translation, robot, scene, margin, motion, advance):
+    """Largest advance for which a posed robot keeps a margin from obstacles and from itself.
+
+    Args:
+        link_rotation: (p, 3, 3), from `forward_kinematics`.
+        link_translation: (p, 3) [m].
+        robot: a `RobotGeometry`.
+        scene: a `SceneGeometry`.
+        margin: [m].
+        motion: largest |dq_j| of each joint per metre of advance (n,) [rad/m]; not read if the
+            advance is 0.
+        advance: the largest one of interest [m].
+
+    Returns:
+        The advance [m]; CONTACT in contact, or if a link pose is not finite.
+    """
+    rate = 0.0
+    for k in range(robot.order.shape[0]):
+        body = robot.order[k]
+        if advance > 0.0:
+            rate = _rate(robot.body_swing[body], motion)
+        advance = _to_obstacles(
+            link_rotation, link_translation, robot, scene, body, rate, margin, advance
+        )
+        if advance < 0.0:
+            return CONTACT
+    placed = -1
+    x = y = z = 0.0
+    for k in range(robot.pairs.shape[0]):
+        a, b = robot.pairs[k, 0], robot.pairs[k, 1]
+        if a != placed:
+            placed, link = a, robot.body_link[a]
+            x, y, z = _placed(
+                link_rotation, link_translation, link, robot.sphere, robot.body_start[a]
+            )
+        if advance > 0.0:
+            rate = _rate(robot.pair_swing[k], motion)
+        advance = _between_bodies(
+            link_rotation, link_translation, robot, a, b, x, y, z, rate, margin, advance
+        )
+        if advance < 0.0:
+            return CONTACT
+    return advance
+
+
+@kernel(inline="machine")
 def in_contact(link_rotation, link_translation, robot, scene, margin):
     """Whether a posed robot comes within a margin of an obstacle or of itself.
 
@@ -262,18 +357,5 @@ def in_contact(link_rotation, link_translation, robot, scene, margin):
     Returns:
         True in contact, or if a link pose is not finite.
     """
-    for k in range(robot.order.shape[0]):
-        if _touches_obstacle(link_rotation, link_translation, robot, scene, robot.order[k], margin):
-            return True
-    placed = -1
-    x = y = z = 0.0
-    for k in range(robot.pairs.shape[0]):
-        a, b = robot.pairs[k, 0], robot.pairs[k, 1]
-        if a != placed:
-            placed, link = a, robot.body_link[a]
-            x, y, z = _placed(
-                link_rotation, link_translation, link, robot.sphere, robot.body_start[a]
-            )
-        if _bodies_touch(link_rotation, link_translation, robot, a, b, x, y, z, margin):
-            return True
-    return False
+    unread = link_translation[0]
+    return safe_advance(link_rotation, link_translation, robot, scene, margin, unread, 0.0) < 0.0

@@ -105,7 +105,10 @@ class RobotGeometry(NamedTuple):
     ]  # First ball of each body; last: number of balls
     order: Annotated[np.ndarray, "int64 checked"]  # Bodies to check against obstacles, tip first
     pairs: Annotated[np.ndarray, "int64 pairs 2"]  # Bodies to check against each other
-    largest: float  # Radius of the largest ball at a leaf [m]
+    # When joint j moves by dq_j, no point of a body moves more than body_swing[body, j] |dq_j|, and
+    # no point of a pair of bodies more than pair_swing[pair, j] |dq_j| in the other one's frame
+    body_swing: Annotated[np.ndarray, "bodies n"]  # [m/rad of hinges, 1 of sliders]
+    pair_swing: Annotated[np.ndarray, "pairs n"]
 
 
 class SceneGeometry(NamedTuple):
@@ -127,7 +130,7 @@ def robot_geometry(
     whole: Collection[int] = (),
     self_only: Collection[int] = (),
 ) -> RobotGeometry:
-    """Cut a robot into pieces and make their trees of balls.
+    """Cut a robot into pieces and make their trees of balls; swings are left empty.
 
     Args:
         specs: geometries, posed in their links.
@@ -158,7 +161,8 @@ def robot_geometry(
         body_start=trees.start,
         order=np.array(order, dtype=np.int64),
         pairs=np.array(body_pairs, dtype=np.int64).reshape(-1, 2),
-        largest=float(trees.sphere[trees.leaf >= 0, 3].max(initial=0.0)),
+        body_swing=np.zeros((len(bodies), 0)),
+        pair_swing=np.zeros((len(body_pairs), 0)),
     )
 
 

@@ -266,7 +266,7 @@ def _posed_support(core, d):
 
 
 @kernel
-def _widest_slab(a, b, axis, limit):
+def _widest_slab(a, b, axis, limit, least):
     """Width [m] of the widest empty slab found between two cores by GJK.
 
     With supports s_A, s_B and a direction v from B towards A, the empty slab across v is
@@ -274,14 +274,16 @@ def _widest_slab(a, b, axis, limit):
         gap(v) = v . (s_A(-v) - s_B(v)) / |v|
 
     The next v is the point nearest to the origin on the simplex of the last s_A - s_B. Stops when a
-    slab is wider than the limit, when the distance of the cores is known to be at most the limit,
-    or when the widest slab is within 1e-9 m of the distance.
+    slab is wider than the limit, when the distance of the cores is known to be at most `least`, or
+    when the widest slab is within 1e-9 m of the distance. Below the limit, four fifths of the
+    distance beyond `least` are enough.
 
     Args:
         a: a core; a hull must be in its owner's frame (its pose is not applied).
         b: another core.
         axis: first direction, 3-tuple from b towards a of any length.
-        limit: width [m]; the search stops as soon as it is known whether a slab is wider.
+        limit: width [m]; the search stops at a wider slab.
+        least: smaller distances are not measured [m]; the limit: only whether a slab is wider.
 
     Returns:
         The width; zero or less where no slab was found.
@@ -306,17 +308,19 @@ def _widest_slab(a, b, axis, limit):
             return widest
         n, p0, p1, p2, v = nearest_on_simplex(n, p0, p1, p2, w)
         length2 = dot(v, v)
-        if n == 4 or not length2 > limit * limit or (known and length2 >= length * length):
+        if n == 4 or not length2 > least * least or (known and length2 >= length * length):
+            return widest
+        if not length2 > limit * limit and widest - least > 0.8 * (np.sqrt(length2) - least):
             return widest
         known = True
     return widest
 
 
 @kernel(inline="machine")
-def separated(a, i, b, j, pose, axis, margin):
-    """Whether a slab wider than margin separates two shapes.
+def slab_between(a, i, b, j, pose, axis, enough, least):
+    """Width of an empty slab between two shapes: a proven lower bound of their distance [m].
 
-    True is certified: the slab was measured with the support points of both shapes.
+    The slab was measured with the support points of both shapes.
 
     Args:
         a: shapes.
@@ -325,16 +329,17 @@ def separated(a, i, b, j, pose, axis, margin):
         j: number of a shape of b.
         pose: pose of b's owner in the frame of a's owner (12-tuple).
         axis: first direction, 3-tuple from b towards a of any length, in the frame of a's owner.
-        margin: least width of the slab between the inflated shapes [m].
+        enough: the search stops at a wider slab [m].
+        least: smaller distances are not measured, see `_widest_slab` [m].
     """
     inflation = a.radius[i] + b.radius[j]
-    widest = _widest_slab(_core(a, i, IDENTITY), _core(b, j, pose), axis, margin + inflation)
-    return widest - inflation > margin
+    first, second = _core(a, i, IDENTITY), _core(b, j, pose)
+    return _widest_slab(first, second, axis, enough + inflation, least + inflation) - inflation
 
 
 @kernel(inline="machine")
-def box_separated(a, i, half, radius, pose, axis, margin):
-    """Whether a slab wider than margin separates shape i of a from an inflated box.
+def slab_to_box(a, i, half, radius, pose, axis, enough, least):
+    """Width of an empty slab between shape i of a and an inflated box, as `slab_between` [m].
 
     Args:
         a: shapes.
@@ -342,10 +347,12 @@ def box_separated(a, i, half, radius, pose, axis, margin):
         half: half edges of the box, 3-tuple [m]; zero for a ball.
         radius: inflation of the box [m].
         pose: pose of the box in the frame of a's owner (12-tuple).
-        axis: first direction, as in `separated`.
-        margin: least width of the slab between the inflated shapes [m].
+        axis: first direction, as in `slab_between`.
+        enough: as in `slab_between` [m].
+        least: as in `slab_between` [m].
     """
     none = a.vertices[0, :0]
     box = Core(np.int64(BOX), half, none, none, none, pose)
-    limit = margin + (a.radius[i] + radius)
-    return _widest_slab(_core(a, i, IDENTITY), box, axis, limit) > limit
+    inflation = a.radius[i] + radius
+    slab = _widest_slab(_core(a, i, IDENTITY), box, axis, enough + inflation, least + inflation)
+    return slab - inflation

@@ -389,14 +389,23 @@ class Robot:
     def speeds_from(self, extent: np.ndarray) -> np.ndarray:
         """Return bounds (n,) of any point's speed per unit speed of each planned joint.
 
-        extent: (p,) distance [m] from the origin of each pose row to the farthest point fixed to
-            it; overwritten by that to the farthest point that it moves.
+        extent: as of `joint_speeds_from`, (p,) [m].
+        """
+        return self.kinematics.summed(self.joint_speeds_from(extent))
+
+    def joint_speeds_from(self, extent: np.ndarray) -> np.ndarray:
+        """Return bounds (..., joints) of any point's speed per unit speed of each joint's driver.
+
+        extent: (p, ...) distance [m] from the origin of each pose row to the farthest point fixed
+            to it, -inf without such a point; overwritten by that to the farthest point that it
+            moves.
         """
         k, slides = self.kinematics, self._slides
         for j in reversed(range(len(k.parent))):
             step = np.linalg.norm(k.translation[j]) + slides[j]
-            extent[k.parent[j]] = max(extent[k.parent[j]], step + extent[j + 1])
-        return k.summed(np.abs(k.multiplier) * np.where(k.prismatic, 1.0, extent[1:]))
+            extent[k.parent[j]] = np.maximum(extent[k.parent[j]], step + extent[j + 1])
+        lever = extent[1:].T
+        return np.abs(k.multiplier) * np.where(k.prismatic, lever > -np.inf, lever.clip(min=0.0))
 
     @property
     def _slides(self) -> np.ndarray:

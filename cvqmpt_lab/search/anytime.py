@@ -75,9 +75,7 @@ def keep_informed(
         to_go = np.inf
         for g in range(goals.shape[0]):
             to_go = min(to_go, distance(draws[kept], goals[g]))
-        if distance(start, draws[kept]) + to_go < longest and posed_state_valid(
-            space, draws[kept], 0.0
-        ):
+        if distance(start, draws[kept]) + to_go < longest and posed_state_valid(space, draws[kept]):
             kept += 1
     return kept
 

@@ -163,7 +163,7 @@ def make_sample(space, q, draws):
     counters[DRAW_NEWTON_ITERATIONS] += counters[NEWTON_ITERATIONS] - steps
     if not projected:
         return False
-    return draws == PROJECTED_DRAW or posed_state_valid(space, q, 0.0)
+    return draws == PROJECTED_DRAW or posed_state_valid(space, q)
 
 
 @entry

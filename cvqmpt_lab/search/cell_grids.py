@@ -39,6 +39,7 @@ class Grids(NamedTuple):
     cell: Annotated[np.ndarray, "int64 grids"]  # work array: the cell of a state in each grid
     motion: Annotated[np.ndarray, "longest n"]  # work array: states of a motion
     refined: Annotated[np.ndarray, "finest n"]  # work array
+    segment: Annotated[np.ndarray, "int64 finest"]  # work array
 
 
 @kernel
@@ -204,6 +205,7 @@ def empty_grids(space: ConstrainedSpace, rng: np.random.Generator, cells: int = 
         cell=np.zeros(g, dtype=np.int64),
         motion=np.zeros((64, n)),
         refined=np.zeros((1024, n)),
+        segment=np.zeros(1024, dtype=np.int64),
     )
 
 

@@ -93,7 +93,8 @@ def _join(space, grids, trees, a, node, farthest):
     states = bisect_motion(space, q, target, longest, grids.motion)
     if states == 0 or not segment_valid(space, q, grids.motion[0]):
         return False
-    if refine_and_check(space, grids.motion[:states], grids.refined)[1] >= 0:
+    motion = grids.motion[:states]
+    if refine_and_check(space, motion, grids.refined, grids.segment)[1] >= 0:
         return False
     for k in range(states):
         new = trees.size[a]

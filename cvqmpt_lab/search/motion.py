@@ -8,8 +8,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 
 from cvqmpt_lab.base.jit import call_address, entry, kernel
-from cvqmpt_lab.collision.checker import in_contact
-from cvqmpt_lab.collision.distance_grid import GRID_REACH_M
+from cvqmpt_lab.collision.checker import CONTACT, safe_advance
 from cvqmpt_lab.collision.geometry import RobotGeometry, SceneGeometry
 from cvqmpt_lab.constraints.project import ProjectionScratch, project
 from cvqmpt_lab.constraints.regions import Regions, residual
@@ -65,6 +64,8 @@ class Space(NamedTuple):
     project_call: int  # address
     chord_call: int  # address
     ends: Annotated[np.ndarray, "2 n"]
+    # largest |dq_j| of each joint per metre of sweep on a stretch, see `blocked_segment`
+    motion: Annotated[np.ndarray, "n"]
 
 
 @kernel(inline="source")
@@ -109,22 +110,36 @@ def _near_doubtful(space, q):
 
 
 @kernel(inline="source")
-def posed_state_valid(space, q, clearance):
-    """Whether q keeps the distance space.margin + clearance [m] from obstacles.
+def _posed_advance(space, q, advance):
+    """Return the largest advance [m] for which the robot keeps space.margin, or CONTACT.
 
-    The scratch holds its link poses. The exact backend checks the margin alone.
+    The scratch holds the link poses of q, `space.motion` the motion of the joints; see
+    `checker.safe_advance`. The exact backend checks the state alone.
+
+    advance: the largest one of interest [m].
     """
     space.counters[STATE_CHECKS] += 1
     if not space.exact:
-        rotation, translation = space.scratch.link_rotation, space.scratch.link_translation
-        free = not in_contact(
-            rotation, translation, space.robot, space.scene, space.margin + clearance
+        advance = safe_advance(
+            space.scratch.link_rotation,
+            space.scratch.link_translation,
+            space.robot,
+            space.scene,
+            space.margin,
+            space.motion,
+            advance,
         )
-        if free or clearance > 0.0 or not _near_doubtful(space, q):
-            return free
+        if advance >= 0.0 or not _near_doubtful(space, q):
+            return advance
     for j in range(q.shape[0]):
         space.query[j] = q[j]
-    return call_address(space.check)
+    return 0.0 if call_address(space.check) else CONTACT
+
+
+@kernel(inline="source")
+def posed_state_valid(space, q):
+    """Whether q, whose link poses the scratch holds, keeps the distance space.margin."""
+    return _posed_advance(space, q, 0.0) >= 0.0
 
 
 @kernel(inline="source")
@@ -133,7 +148,7 @@ def state_valid(space, q):
     forward_kinematics(
         space.kinematics, q, space.scratch.link_rotation, space.scratch.link_translation
     )
-    return posed_state_valid(space, q, 0.0)
+    return posed_state_valid(space, q)
 
 
 @entry
@@ -188,7 +203,7 @@ def step_towards(space, origin, target, longest, out):
         return TRAPPED
     if left >= remaining or moved < SAME_STATE_RAD:
         return TRAPPED
-    if not posed_state_valid(space, out, 0.0):
+    if not posed_state_valid(space, out):
         return TRAPPED
     return TARGET_REACHED if left < SAME_STATE_RAD else ADVANCED
 
@@ -231,9 +246,7 @@ def bisect_motion(
             for j in range(target.shape[0]):
                 left = origin[j] if k == half else out[k - half - 1, j]
                 out[k - 1, j] = 0.5 * (left + out[k + half - 1, j])
-            if not project_state(space, out[k - 1]) or not posed_state_valid(
-                space, out[k - 1], 0.0
-            ):
+            if not project_state(space, out[k - 1]) or not posed_state_valid(space, out[k - 1]):
                 return 0
         stride = half
     length = distance(origin, out[0])
@@ -304,49 +317,134 @@ def chord_on_manifold(space, a, b):
     return True
 
 
+@kernel
+def _sweep(space, states, i):
+    """Upper bound of the way of any point of the robot on segment i of a path [m]."""
+    sweep = 0.0
+    for j in range(states.shape[1]):
+        sweep += abs(states[i + 1, j] - states[i, j]) * space.swing[j]
+    return sweep
+
+
+@kernel
+def _moved_along(space, states, count, place, way):
+    """Return the place after `way` metres of sweep, at the longest the end of the path.
+
+    A place is the number of a segment and the fraction of it; way: negative is backwards.
+    """
+    i = min(int(place), count - 2)
+    fraction = place - i
+    while True:
+        sweep = _sweep(space, states, i)
+        left = (1.0 - fraction if way > 0.0 else fraction) * sweep
+        if abs(way) <= left:
+            return i + (fraction + way / sweep if sweep > 0.0 else fraction)
+        if way > 0.0 and i == count - 2:
+            return float(count - 1)
+        if way <= 0.0 and i == 0:
+            return 0.0
+        way -= np.copysign(left, way)
+        i += 1 if way > 0.0 else -1
+        fraction = 0.0 if way > 0.0 else 1.0
+
+
+@kernel
+def _set_motion(space, states, count, begin, end):
+    """Write the largest |dq_j| per metre of sweep between two places into space.motion."""
+    space.motion[:] = 0.0
+    for i in range(int(begin), min(int(end), count - 2) + 1):
+        sweep = _sweep(space, states, i)
+        for j in range(states.shape[1] if sweep > 0.0 else 0):
+            change = abs(states[i + 1, j] - states[i, j]) / sweep
+            space.motion[j] = max(space.motion[j], change)
+
+
+@kernel
+def _blocked_for_exact(space, states, count):
+    """Return as `blocked_segment`, for the exact backend: states every space.resolution."""
+    for i in range(count - 1):
+        pieces = 1
+        while distance(states[i], states[i + 1]) > space.resolution * pieces:
+            pieces *= 2
+        for k in range(1, pieces + 1):
+            _place_between(space, states[i], states[i + 1], k / pieces)
+            if not posed_state_valid(space, space.state):
+                return i
+    return -1
+
+
+@entry
+def blocked_segment(space: Space, states: Annotated[np.ndarray, "count n"], count: int):
+    """Return a segment of a path whose straight joint motion is not free of collision, or -1.
+
+    One proof covers stretches of many segments. The robot at q, inside the stretch, has the
+    distances d_b from obstacles (and pairs of bodies from each other). It is free on the whole
+    stretch if no point of body b moves further than d_b on the way from q (Schwarzer, Saha and
+    Latombe 2005; here with one distance for each body):
+
+        d_b(q) > sum_j swing_bj |dq_j|
+
+    Lengths on the path are measured by its sweep, sum_j swing_j |dq_j| with the largest swings of
+    all bodies [m]. The check goes forward by what the last distances proved, twice as far as they
+    reach. A stretch that is not proven is halved until its sweep is at most the margin that every
+    free state keeps. The exact backend computes no distances: it checks states every
+    space.resolution.
+
+    Args:
+        space: the planning space.
+        states: the path [rad or m]; the first state is not in collision.
+        count: number of its states.
+    """
+    finest = 5e-5  # [m] least way of a point between states that are checked
+    longest = 0.4  # [m] largest sweep that is proven to both sides of a state
+    beyond = 2.5  # so many times the distance to what is proven is asked for
+    if count < 2:
+        return -1
+    if space.exact:
+        return _blocked_for_exact(space, states, count)
+    left = 0.0  # sweep of the path after place `done`, up to which it is proven [m]
+    for i in range(count - 1):
+        left += _sweep(space, states, i)
+    if not left < np.inf:
+        return 0
+    shortest, half, done = max(space.margin, finest), 0.05, 0.0
+    # a later stretch that is proven too: the sweep after its begin and its end, and its end
+    ahead_begin, ahead_left, ahead_done = -np.inf, 0.0, 0.0
+    while True:
+        half = min(half, left)
+        place = _moved_along(space, states, count, done, half)
+        wanted = min(beyond * half, longest)
+        begin = _moved_along(space, states, count, place, -wanted)
+        end = _moved_along(space, states, count, place, wanted)
+        _set_motion(space, states, count, begin, end)
+        i = min(int(place), count - 2)
+        _place_between(space, states[i], states[i + 1], place - i)
+        advance = _posed_advance(space, space.state, wanted)
+        if advance == CONTACT:
+            return i
+        advance = max(advance, shortest)
+        end = _moved_along(space, states, count, place, advance)
+        if advance < half:
+            # the stretch before it is still to be proven
+            ahead_begin, ahead_left, ahead_done = left - half + advance, left - half - advance, end
+            half = max(0.5 * (half - advance), shortest)
+            continue
+        left, done = left - half - advance, end
+        if left <= ahead_begin:
+            if ahead_left < left:
+                left, done = ahead_left, ahead_done
+            ahead_begin = -np.inf
+        if left <= 0.0:
+            return -1
+        half = min(0.7 * advance, longest / beyond)
+
+
 @entry
 def motion_free(space: Space, a: Annotated[np.ndarray, "n"], b: Annotated[np.ndarray, "n"]):
-    """Whether b and every state of the straight joint motion towards it are free of collision.
-
-    A stretch with change dq is free if the distance from obstacles at its middle is larger than the
-    way of any point of the robot in half the stretch (Schwarzer, Saha and Latombe 2005):
-
-        d(q_middle) > 1/2 sum_j swing_j |dq_j|
-
-    Other stretches are halved until that way is at most the margin that every free state keeps. The
-    exact backend computes no distances: it checks states every space.resolution.
-    """
-    finest = 5e-5  # [m] smallest way of a point between states that are checked
-    pieces, sweep = 1, 0.0  # sweep [m]: upper bound of the way of any point
+    """Whether b and every state of the straight joint motion towards it are free of collision."""
     for j in range(a.shape[0]):
-        sweep += abs(b[j] - a[j]) * space.swing[j]
-    if not sweep < np.inf:
-        return False
-    if space.exact:
-        while distance(a, b) > space.resolution * pieces:
-            pieces *= 2
-    else:
-        while 0.5 * sweep > max(space.margin, finest) * pieces:
-            pieces *= 2
-    widest = 1 if space.exact else pieces
-    # the end b is checked first, then `span` pieces at a time; the first `done` pieces are free
-    done, span = -1, 1
-    while done < pieces:
-        place = 1.0 if done < 0 else (done + (1.0 if space.exact else 0.5 * span)) / pieces
-        clearance = 0.0 if span == 1 else 0.5 * sweep * span / pieces
-        free = clearance <= GRID_REACH_M - space.robot.largest or span == 1
-        if free:
-            _place_between(space, a, b, place)
-            free = posed_state_valid(space, space.state, clearance)
-        if free:
-            done += span
-            # the largest stretch that begins here in the binary subdivision
-            span = min(done & -done, widest) if done > 0 else widest
-        elif span == 1:
-            return False
-        else:
-            span //= 2
-    return True
+        space.ends[0, j], space.ends[1, j] = a[j], b[j]
+    return blocked_segment(space, space.ends, 2) < 0
 
 
 @kernel(inline="source")
@@ -357,17 +455,23 @@ def segment_valid(space, a, b):
 
 @entry
 def refine_and_check(
-    space: Space, states: Annotated[np.ndarray, "count n"], out: Annotated[np.ndarray, "capacity n"]
+    space: Space,
+    states: Annotated[np.ndarray, "count n"],
+    out: Annotated[np.ndarray, "capacity n"],
+    segment: Annotated[np.ndarray, "int64 capacity"],
 ):
-    """Copy a path, insert projected states where it leaves the manifold, and check every motion.
+    """Copy a path, insert projected states where it leaves the manifold, and check all motions.
 
     Args:
         space: the planning space.
         states: the path (m, n) [rad or m].
         out: (capacity, n), written.
+        segment: (capacity,), written: the segment of `states` that ends at, or contains, each state
+            of out.
 
     Returns:
-        Number of states in out, and the first segment that cannot be refined or is not free, or -1.
+        Number of states in out, and a segment of `states` that cannot be refined or is not free, or
+        -1.
     """
     count, n = states.shape
     most_halvings = 8  # per segment
@@ -390,12 +494,12 @@ def refine_and_check(
             halvings += 1
             if halvings > most_halvings or not project_state(space, out[written]):
                 return written, i - 1
-        if not motion_free(space, out[written - 1], out[written]):
-            return written, i - 1
+        segment[written] = i - 1
         written += 1
         if halvings == 0:
             i += 1
-    return written, -1
+    blocked = blocked_segment(space, out, written)
+    return written, segment[blocked + 1] if blocked >= 0 else -1
 
 
 @entry

@@ -7,7 +7,13 @@ from typing import Annotated
 import numpy as np
 
 from cvqmpt_lab.base.jit import entry, kernel
-from cvqmpt_lab.search.motion import Space, bisect_motion, distance, segment_valid
+from cvqmpt_lab.search.motion import (
+    Space,
+    bisect_motion,
+    blocked_segment,
+    chord_on_manifold,
+    distance,
+)
 from cvqmpt_lab.search.result import Counters, JointPath
 from cvqmpt_lab.search.space import ConstrainedSpace
 
@@ -36,7 +42,7 @@ def _locate(states, count, along):
 
 @kernel
 def _replace(states, count, a, b, detour, size):
-    """Replace states a + 1 to b by the first `size` rows of detour, whose last one is states[b].
+    """Replace states a to b by the first size + 1 rows of detour, which begin and end like them.
 
     Returns:
         The new number of states.
@@ -53,16 +59,16 @@ def _replace(states, count, a, b, detour, size):
                 states[i + shift, j] = states[i, j]
     for i in range(size):
         for j in range(n):
-            states[a + 1 + i, j] = detour[i, j]
+            states[a + 1 + i, j] = detour[i + 1, j]
     return count + shift
 
 
 @kernel(inline="source")
 def _shorter_motion(space, states, a, b, detour):
-    """Write a direct, free, shorter motion from state a to state b into detour.
+    """Write a direct, free, shorter motion from state a to state b into detour, after state a.
 
     Returns:
-        The number of its states; 0 if there is none.
+        The number of its states without state a; 0 if there is none.
     """
     share = 0.999  # largest ratio of the new length to the old one
     if b - a < 2:
@@ -72,11 +78,13 @@ def _shorter_motion(space, states, a, b, detour):
         old += distance(states[i], states[i + 1])
     if distance(states[a], states[b]) > share * old:
         return 0
-    size = bisect_motion(space, states[a], states[b], share * old, detour)
+    size = bisect_motion(space, states[a], states[b], share * old, detour[1:])
+    for j in range(states.shape[1]):
+        detour[0, j] = states[a, j]
     for i in range(size):
-        if not segment_valid(space, states[a] if i == 0 else detour[i - 1], detour[i]):
+        if not chord_on_manifold(space, detour[i], detour[i + 1]):
             return 0
-    return size
+    return size if blocked_segment(space, detour, size + 1) < 0 else 0
 
 
 @entry

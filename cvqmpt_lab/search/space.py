@@ -238,6 +238,7 @@ class ConstrainedSpace:
             project_call=addresses[0],
             chord_call=addresses[1],
             ends=self._calls.ends if self._calls else np.zeros((2, n)),
+            motion=np.zeros(n),
         )
         check_arrays(self.arrays)
         self.doubtful = ()
@@ -355,12 +356,12 @@ class ConstrainedSpace:
         """Refine a path (m, n) [rad or m] where straight motions leave the manifold, and check it.
 
         Returns:
-            The path and -1, or None and the index of the first segment that fails.
+            The path and -1, or None and the index of a segment that fails.
         """
         states = np.ascontiguousarray(states)
         capacity = 8 * len(states) + 4 * int(JointPath(states).length / self.arrays.step) + 64
-        out = np.empty((capacity, states.shape[1]))
-        written, bad = motion.refine_and_check(self.arrays, states, out)
+        out, segment = np.empty((capacity, states.shape[1])), np.empty(capacity, dtype=np.int64)
+        written, bad = motion.refine_and_check(self.arrays, states, out, segment)
         self.reraise()
         return (JointPath(out[:written].copy()), -1) if bad < 0 else (None, int(bad))
 
