@@ -30,14 +30,14 @@ def rigid(R: np.ndarray | list[list[float]], xyz: Iterable[float] = (0.0, 0.0, 0
 
 def rotation_matrices(vectors: FloatArray) -> FloatArray:
     """Return rotations (k, 3, 3) of rotation vectors (k, 3) [rad], bit for bit as scipy."""
-    R = np.empty((len(vectors), 3, 3))
-    for matrix, (a, b, c) in zip(R, vectors.tolist(), strict=True):
+    R = []
+    for a, b, c in vectors.tolist():
         angle = math.sqrt(a * a + b * b + c * c)
         square = angle * angle
         small = 0.5 - square / 48 + square * square / 3840
         half = math.sin(angle / 2) / angle if angle > 1e-3 else small
-        matrix[:] = _of_quaternion(half * a, half * b, half * c, math.cos(angle / 2))
-    return R
+        R.append(_of_quaternion(half * a, half * b, half * c, math.cos(angle / 2)))
+    return np.array(R).reshape(-1, 3, 3)
 
 
 def _of_quaternion(x: float, y: float, z: float, w: float) -> list[list[float]]:

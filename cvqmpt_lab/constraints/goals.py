@@ -24,6 +24,7 @@ from cvqmpt_lab.base.values import frozen
 from cvqmpt_lab.collision.arrays import robot_arrays, scene_arrays
 from cvqmpt_lab.collision.carried import reach_with
 from cvqmpt_lab.collision.exact import CollisionChecker
+from cvqmpt_lab.collision.geometry import RobotGeometry, SceneGeometry
 from cvqmpt_lab.constraints.problem_parts import ProblemParts
 from cvqmpt_lab.constraints.project import (
     PROJECTION_TOLERANCE,
@@ -55,12 +56,13 @@ SAMPLE_MARGIN_M = 1e-3  # kept from obstacles by sampled starts and goals
 REGION_INSET = 1e-3
 
 
-def one_pose(region: TaskSpaceRegion) -> TaskSpaceRegion:
-    """Return the region of a single pose of the region's end effector, at the origin.
+@lru_cache(maxsize=8)
+def one_pose(end_effector: str | None) -> TaskSpaceRegion:
+    """Return the region of a single pose of an end effector, at the origin.
 
-    Inverse kinematics writes the pose into its reference frame.
+    Inverse kinematics writes the pose into arrays of the region's reference frame.
     """
-    return TaskSpaceRegion(np.eye(4), np.eye(4), np.zeros((6, 2)), end_effector=region.end_effector)
+    return TaskSpaceRegion(np.eye(4), np.eye(4), np.zeros((6, 2)), end_effector=end_effector)
 
 
 def has_fewer_than_6_dof(robot: Robot, region: TaskSpaceRegion) -> bool:
@@ -92,7 +94,7 @@ def solve_poses(
         k arrays (at most a, n) of configurations [rad or m].
     """
     # the reference frame of the first region is written for each pose
-    regions = stack_regions(robot, (one_pose(region), *within))
+    regions = stack_regions(robot, (one_pose(region.end_effector), *within))
     if anywhere:
         regions = stack_regions(robot, (region, *within), REGION_INSET)
         poses = np.broadcast_to(region.T0_w, poses.shape)
@@ -285,13 +287,13 @@ def sample_goals(
         scattered = near + SEED_STD_RAD * rng.standard_normal((512, robot.dof))
         seeds = _seeds(robot, np.clip(scattered, robot.lower, robot.upper), region.end_effector)
     T = region.sample_poses(rng, max_poses)
-    regions = stack_regions(robot, (one_pose(region), *within))
+    regions = stack_regions(robot, (one_pose(region.end_effector), *within))
     if project:
         # no pose is the one to start near to
         T[:], look = region.T0_w, 1
         regions = stack_regions(robot, (region, *within), REGION_INSET)
     poses = _no_configurations(T, robot.dof)
-    found = reach_free(
+    found = reach_free.unchecked(  # all arrays are made here
         robot.kinematics,
         regions,
         robot_arrays(robot, problem.carried),
@@ -432,28 +434,41 @@ def near_goals(problem: GoalProblem, most: int = 4) -> np.ndarray:
     """
     robot, region = problem.robot, problem.goal_region
     assert region is not None
+    reached = partial(
+        _reached,
+        problem,
+        robot_arrays(robot, problem.carried),
+        scene_arrays(problem.scene, reach_with(robot, problem.carried), problem.clearance),
+    )
     regions = stack_regions(robot, (region, *problem.constraint), REGION_INSET)
-    found = _reached(problem, regions, region.T0_w[None], [problem.start])
+    found = reached(regions, region.T0_w[None], [problem.start])
     if not np.ptp(region.Bw, axis=1).any():
         return found  # a region of one pose has no other
-    regions = stack_regions(robot, (one_pose(region), *problem.constraint))
+    regions = stack_regions(robot, (one_pose(region.end_effector), *problem.constraint))
     T = region.sample_poses(problem.random_stream(0), POSES_AT_ONCE)
     hand = robot.pose(problem.start, region.end_effector)
     shift = np.linalg.norm(T[:, :3, 3] - hand[:3, 3], axis=1) / (0.3 * robot.reach)
     turn = np.linalg.norm((T - hand)[:, :3, :2], axis=(1, 2))
     for k in np.argsort(shift**2 + turn**2, kind="stable")[: most - 1]:
-        more = _reached(problem, regions, T[k : k + 1], [problem.start, *found[-1:]])
+        more = reached(regions, T[k : k + 1], [problem.start, *found[-1:]])
         found = np.concatenate([found, more])
     return found
 
 
 def _reached(
-    problem: GoalProblem, regions: Regions, T: np.ndarray, seeds: Sequence[np.ndarray]
+    problem: GoalProblem,
+    arm: RobotGeometry,
+    scene: SceneGeometry,
+    regions: Regions,
+    T: np.ndarray,
+    seeds: Sequence[np.ndarray],
 ) -> np.ndarray:
     """Return free configurations (at most k, n) that Newton's method reaches from given seeds.
 
     Args:
         problem: robot, load and scene.
+        arm: pieces of the robot and its load.
+        scene: obstacles.
         regions: the first one is moved to each pose.
         T: poses (k, 4, 4) [m].
         seeds: configurations (n,) [rad or m]; that with the hand nearest to the pose is taken.
@@ -461,11 +476,11 @@ def _reached(
     robot = problem.robot
     assert problem.goal_region is not None
     poses = _no_configurations(T, robot.dof)
-    found = reach_free(
+    found = reach_free.unchecked(  # all arrays are made here
         robot.kinematics,
         regions,
-        robot_arrays(robot, problem.carried),
-        scene_arrays(problem.scene, reach_with(robot, problem.carried), problem.clearance),
+        arm,
+        scene,
         SAMPLE_MARGIN_M,
         _seeds(robot, np.array(seeds), problem.goal_region.end_effector),
         # one attempt: Newton's method from the same seed ends the same way again
