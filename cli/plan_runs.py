@@ -18,7 +18,7 @@ from cvqmpt_lab.base.files import csv_table, make_folder, write_text
 from cvqmpt_lab.base.values import bound_text
 from cvqmpt_lab.benchmarks.declarations import SUITES
 from cvqmpt_lab.benchmarks.suite import suite_named
-from cvqmpt_lab.cli.options import ProgressBar, as_json, compiling, refuse_given, writable_file
+from cvqmpt_lab.cli.options import ProgressBar, as_json, compiling, log, refuse_given, writable_file
 from cvqmpt_lab.cli.plan_command import FILM_SUFFIX, OPTIMIZE_S, PAGE_SUFFIX, RECORDING_SUFFIX
 from cvqmpt_lab.cli.problem_arguments import (
     budget,
@@ -153,7 +153,7 @@ def _problem_or_task(args: argparse.Namespace) -> PlanningProblem | Task:
     if motion_given(args) and not given:
         from cvqmpt_lab.cli.scan_command import motion_problem
 
-        compile_where_none_is(compiling())
+        compile_where_none_is(compiling(), log)
         return with_clearance(args, motion_problem(args))
     if len(given) != 1 or motion_given(args) or args.scene:
         raise InvalidInputError(
@@ -162,7 +162,7 @@ def _problem_or_task(args: argparse.Namespace) -> PlanningProblem | Task:
         )
     if args.suite is not None:
         suite_named(args.suite)  # an unknown name is refused before anything is compiled
-    compile_where_none_is(compiling())
+    compile_where_none_is(compiling(), log)
     return chosen_problem(args)
 
 

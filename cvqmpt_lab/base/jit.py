@@ -122,6 +122,12 @@ def compile_all(progress: Callable[[int, int], object] = lambda done, total: Non
             (place / "complete").touch()
 
 
+def cores() -> int:
+    """Return the number of cores that this process may use."""
+    able = hasattr(os, "sched_getaffinity")  # not on macOS
+    return len(os.sched_getaffinity(0)) if able else os.cpu_count() or 1
+
+
 def compile_in_processes(progress: Callable[[int, int], object]) -> None:
     """Compile every entry, in as many new processes as there are cores, and load them here.
 
@@ -131,9 +137,8 @@ def compile_in_processes(progress: Callable[[int, int], object]) -> None:
     from concurrent.futures.process import BrokenProcessPool
     from multiprocessing import get_context
 
-    able = hasattr(os, "sched_getaffinity")  # not on macOS
-    cores = len(os.sched_getaffinity(0)) if able else os.cpu_count() or 1
-    if cores == 1 or folder() is None:  # without a folder, no process can use another's work
+    count = cores()
+    if count == 1 or folder() is None:  # without a folder, no process can use another's work
         compile_all(progress)
         return
     total = len(entries())
@@ -141,7 +146,7 @@ def compile_in_processes(progress: Callable[[int, int], object]) -> None:
     # what a killed process leaves is compiled here
     with (
         contextlib.suppress(BrokenProcessPool),
-        ProcessPoolExecutor(min(cores, total), get_context("spawn")) as workers,
+        ProcessPoolExecutor(min(count, total), get_context("spawn")) as workers,
     ):
         compiled = [workers.submit(compile_entry, number) for number in range(total)]
         for done, one in enumerate(as_completed(compiled), 1):
