@@ -23,7 +23,7 @@ from cvqmpt_lab.cli.options import (
     writable_file,
 )
 
-BENCHES = ("stages", "paper-check")
+BENCHES = ("stages", "sizes", "paper-check")
 
 
 class Finding(NamedTuple):
@@ -127,12 +127,15 @@ def warmup(args: argparse.Namespace) -> None:
 def bench(args: argparse.Namespace) -> None:
     """Measure and print a table."""
     from cvqmpt_lab.experiments.paper_check import paper_check
+    from cvqmpt_lab.experiments.size_times import size_times
     from cvqmpt_lab.experiments.stage_times import stage_times, tuning_problems
     from cvqmpt_lab.planning.warm_up import compile_kernels
 
     compile_kernels(compiling())
     if args.bench == "stages":
         figures = stage_times(args.problems)
+    elif args.bench == "sizes":
+        figures = size_times(args.problems)
     else:
         figures = paper_check(tuning_problems(1)[0])
     width = max(len(figure.name) for figure in figures)
@@ -146,7 +149,7 @@ def bench(args: argparse.Namespace) -> None:
 OPTIONS: Options = {
     "bench": option(", ".join(BENCHES), type=one_of("bench", BENCHES)),
     "--problems": option(
-        "number of problems for stages (20)", type=positive_int, default=20, metavar="N"
+        "number of problems for stages and sizes (20)", type=positive_int, default=20, metavar="N"
     ),
     "--json": option("write the figures as json too", type=writable_file, metavar="F"),
 }

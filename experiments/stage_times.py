@@ -12,7 +12,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from cvqmpt_lab.benchmarks.place_task import TUNING_ENVIRONMENTS, place_problem
-from cvqmpt_lab.certificate.certificate import certify
+from cvqmpt_lab.certificate.certificate import Certificate, certify
 from cvqmpt_lab.planning.pipeline import with_drawn_goals
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.search.birrt import BiRRT
@@ -71,16 +71,9 @@ def stage_times(problems: int) -> list[Measured]:
     clock = CpuClock()
     states: list[float] = []
     for problem in tuning_problems(problems):
-        rng = np.random.default_rng(0)
-        uniform = Uniform(problem.robot.lower, problem.robot.upper)
         posed = clock("goals", with_drawn_goals, problem)
-        space = clock("space", ConstrainedSpace.of, posed)
-        budget = Budget(iterations=20_000)
-        query = Query.of(space, posed.start, posed.goals, budget, rng)
-        plan = clock("search", BiRRT().search, query, uniform)
-        if plan.path is not None:
-            shorter = clock("shortening", simplify, space, plan.path, rng)
-            certificate = clock("certificate", certify, posed, shorter.path)
+        certificate = plan_stages(clock, posed)
+        if certificate is not None:
             states.append(certificate.states_checked)
     # of this process, before other programs are started; Linux counts in KiB
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
@@ -91,6 +84,22 @@ def stage_times(problems: int) -> list[Measured]:
         measured("states checked by the certificate", states, ""),
         measured("memory", [memory], "MiB"),
     ]
+
+
+def plan_stages(clock: CpuClock, problem: PlanningProblem, prefix: str = "") -> Certificate | None:
+    """Plan a problem with given goals with `birrt`, and record the time of each stage.
+
+    The stages' names get the prefix. Returns the certificate, or None without a path.
+    """
+    rng = np.random.default_rng(0)
+    space = clock(f"{prefix}space", ConstrainedSpace.of, problem)
+    query = Query.of(space, problem.start, problem.goals, Budget(iterations=20_000), rng)
+    uniform = Uniform(problem.robot.lower, problem.robot.upper)
+    plan = clock(f"{prefix}search", BiRRT().search, query, uniform)
+    if plan.path is None:
+        return None
+    shorter = clock(f"{prefix}shortening", simplify, space, plan.path, rng)
+    return clock(f"{prefix}certificate", certify, problem, shorter.path)
 
 
 def _start(*words: str) -> Measured:

@@ -138,7 +138,7 @@ def _in_maze(index: int, rng: np.random.Generator) -> PlanningProblem | Unsolvab
     """Return a problem between two cells of a maze."""
     cells = ((3, 8), (4, 10), (5, 12))[index % 3]
     corner, cell = np.array((0.2, -0.65)), np.divide((0.46, 1.3), cells)
-    walls = []
+    walls: list[SceneObject] = []
     for middle, along in _walls(cells, rng):
         size = (*(np.where(along, cell, 0.0) + 0.01).tolist(), 0.1)
         at = pose((*(corner + cell * middle), 0.05))
