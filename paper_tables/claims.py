@@ -3,7 +3,8 @@
 import csv
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise, product
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,12 +21,18 @@ from cvqmpt_lab.results.row import PAPER_PHASES, RUNS_FILE, ResultRow, read_rows
 from cvqmpt_lab.results.statistics import problem_key
 
 
-class Evidence(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Evidence:
     """A results directory."""
 
     folder: Path
     rows: Rows  # empty for a figure
     record: dict[str, Any]  # its provenance
+
+    @cached_property
+    def of_tasks(self) -> Rows:
+        """Rows of whole tasks, with sums over the phases that the paper times."""
+        return task_rows(self.rows, PAPER_PHASES)
 
 
 class JudgedClaim(NamedTuple):
@@ -84,7 +91,7 @@ def _verdicts(claim: Claim, evidence: Evidence) -> list[Verdict]:
     suite, rows = evidence.rows[0].suite, evidence.rows
     cutoff: float | None = evidence.record["configuration"].get("cutoff_s")
     if suite in SUITES and SUITES[suite].of_tasks:
-        rows = task_rows(rows, PAPER_PHASES)
+        rows = evidence.of_tasks
         cutoff = None if cutoff is None else len(PAPER_PHASES) * cutoff
     return verdicts_of(claim, rows, published_of(suite), cutoff)
 
