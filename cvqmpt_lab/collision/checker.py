@@ -119,13 +119,13 @@ def _to_primitives(pieces, piece, scene, item, pose, ball, rate, margin, advance
     """Advance that the primitives of an item allow a piece.
 
     Args:
-        pieces: of the robot.
+        pieces: convex pieces of the robot.
         piece: number of one of them.
         scene: a `SceneGeometry`.
         item: number of an item.
         pose: of the world in the frame of the piece's link.
         ball: centre of a ball around the piece, in the frame of its link, and its radius [m].
-        rate: of the piece.
+        rate: rate of the piece.
         margin: [m].
         advance: [m].
     """

@@ -228,7 +228,7 @@ def fill_blocks(
     """Fill blocks until `grid.items` is full.
 
     Args:
-        bounds: of all obstacles.
+        bounds: oriented boxes around all obstacles.
         grid: the grid.
         block_start: (blocks + 1,) index in `block_items` of each block's first obstacle; the last
             entry is the length of `block_items`.
@@ -279,7 +279,7 @@ def distance_grid(bounds: np.ndarray, half: float, cell: float) -> DistanceGrid:
     Obstacles within GRID_REACH_M are listed.
 
     Args:
-        bounds: of all obstacles.
+        bounds: oriented boxes around all obstacles.
         half: half edge of the cube [m].
         cell: edge of a cell [m].
     """

@@ -124,7 +124,7 @@ def newton(kinematics, regions, q, tolerance, max_iterations, stop_on_stall, scr
     """Project q (n,) in place by Newton's method, see the head of this file.
 
     Args:
-        kinematics: of the robot.
+        kinematics: kinematics of the robot.
         regions: the constraint.
         q: (n,), projected in place [rad or m].
         tolerance: of |F| [m, rad].
@@ -177,7 +177,7 @@ def project(
     On success scratch holds the link poses of q, ready for a collision check.
 
     Args:
-        kinematics: of the robot.
+        kinematics: kinematics of the robot.
         regions: the constraint.
         q: (n,), changed [rad or m].
         tolerance: of |F| [m, rad].
@@ -205,7 +205,7 @@ def reach_poses(
     """Project configurations in place onto poses of the first region's reference frame.
 
     Args:
-        kinematics: of the robot.
+        kinematics: kinematics of the robot.
         regions: the constraint; the reference frame of its first region is overwritten.
         rotations: (k, 3, 3) of the poses.
         translations: (k, 3) of the poses [m].

@@ -78,7 +78,7 @@ def reach_free(
     """Find a free configuration for each of several poses, until there are as many as wanted.
 
     Args:
-        kinematics: of the robot.
+        kinematics: kinematics of the robot.
         regions: the first is the pose to be reached; the others hold at the same time.
         robot: pieces of the robot.
         scene: obstacles.

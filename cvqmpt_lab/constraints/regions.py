@@ -272,7 +272,7 @@ def jacobian(
     that mimic a planned joint come last; they are added to its column.
 
     Args:
-        kinematics: of the robot.
+        kinematics: kinematics of the robot.
         regions: k regions with m bounded rows.
         link_rotation: (p, 3, 3) by `forward_kinematics`.
         link_translation: (p, 3) by `forward_kinematics` [m].
@@ -337,7 +337,7 @@ def batch_residual_and_jacobian(
     """Write F and dF/dq of a batch of configurations.
 
     Args:
-        kinematics: of the robot.
+        kinematics: kinematics of the robot.
         regions: k regions with m bounded rows.
         configurations: (b, n) [rad or m].
         full: see `jacobian`.

@@ -111,8 +111,8 @@ def extend(space, nodes, parent, size, which, origin, target, reach):
 
     Args:
         space: the planning space.
-        nodes: of this tree (capacity, n) [rad or m].
-        parent: of this tree (capacity,).
+        nodes: nodes of this tree (capacity, n) [rad or m].
+        parent: parents in this tree (capacity,).
         size: number of nodes of both trees.
         which: row of this tree.
         origin: node to extend from.
@@ -179,7 +179,7 @@ def grow(
 
     Args:
         space: the planning space; each draw counts as an iteration, also one that cannot be used.
-        trees: from the start and from the goals.
+        trees: trees from the start and from the goals.
         samples: draws (count, n) [rad or m]; they become samples in place.
         first: row of the first draw.
         reach: largest length of an extension towards a sample [rad].

@@ -126,7 +126,7 @@ def place_node(space, grids, tree, nodes, node):
         space: the planning space.
         grids: changed in place.
         tree: 0 or 1.
-        nodes: of this tree (capacity, n) [rad or m].
+        nodes: nodes of this tree (capacity, n) [rad or m].
         node: number of the node.
     """
     _find_cells(space, grids, nodes[node])

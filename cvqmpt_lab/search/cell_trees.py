@@ -130,7 +130,7 @@ def grow_cells(
 
     Args:
         space: the planning space; each walk counts as an iteration.
-        trees: from the start and from the goals.
+        trees: trees from the start and from the goals.
         grids: their cells.
         shifts: vector (count, n) from a walk's first node to its target [rad or m].
         chances: (count, 3), uniform in [0, 1): choose grid, cell and node.

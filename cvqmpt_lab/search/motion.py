@@ -475,29 +475,32 @@ def refine_and_check(
     """
     count, n = states.shape
     most_halvings = 8  # per segment
+    last = out.shape[0] - 1  # the last rows of out hold states that come later, the next one first
     for j in range(n):
         out[0, j] = states[0, j]
-    written, i = 1, 1
-    while i < count:
-        if written >= out.shape[0]:
-            return written, i - 1
+    written = 1
+    for i in range(1, count):
+        waiting = 1
         for j in range(n):
-            out[written, j] = states[i, j]
-        halvings = 0
-        while distance(
-            out[written - 1], out[written]
-        ) > MAX_LENGTH_RATIO * space.step or not chord_on_manifold(
-            space, out[written - 1], out[written]
-        ):
-            for j in range(n):
-                out[written, j] = 0.5 * (out[written - 1, j] + out[written, j])
-            halvings += 1
-            if halvings > most_halvings or not project_state(space, out[written]):
+            out[last, j] = states[i, j]
+        while waiting > 0:
+            if written + most_halvings + 1 > last:
                 return written, i - 1
-        segment[written] = i - 1
-        written += 1
-        if halvings == 0:
-            i += 1
+            before, after = out[written - 1], out[last - waiting + 1]
+            if distance(before, after) > MAX_LENGTH_RATIO * space.step or not chord_on_manifold(
+                space, before, after
+            ):
+                for j in range(n):
+                    out[last - waiting, j] = 0.5 * (before[j] + after[j])
+                if waiting > most_halvings or not project_state(space, out[last - waiting]):
+                    return written, i - 1
+                waiting += 1
+                continue
+            for j in range(n):
+                out[written, j] = after[j]
+            segment[written] = i - 1
+            written += 1
+            waiting -= 1
     blocked = blocked_segment(space, out, written)
     return written, segment[blocked + 1] if blocked >= 0 else -1
 

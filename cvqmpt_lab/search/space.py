@@ -80,7 +80,7 @@ def _chord(regions: Regions, inset: float, most: float = 6e-4) -> float:
     """Return the largest |F| [m, rad] of tightened bounds that straight motions may reach.
 
     Args:
-        regions: with tightened bounds.
+        regions: regions with tightened bounds.
         inset: the bounds were tightened by this much, narrow ones by less [m, rad].
         most: result where all bounds were tightened by `inset`: motions stay inside the true ones.
             Where narrow bounds were tightened less, motions may be outside the true ones by

@@ -14,7 +14,7 @@ from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Sphere
-from cvqmpt_lab.search.motion import motion_free, states_valid
+from cvqmpt_lab.search.motion import blocked_segment, motion_free, states_valid
 from cvqmpt_lab.search.nearest import (
     NODES_PER_BLOCK,
     NODES_PER_LEAF,
@@ -143,6 +143,33 @@ def test_what_only_the_middle_of_a_motion_meets_is_noticed(panda):
 
     assert answer(0.1) == (True, True, False)
     assert answer(0.13) == (True, True, True)
+
+
+def test_a_path_is_proven_like_its_motions(kitchen_space, motions, answers):
+    """Also a path of one state, doubled states, and ends that are the same."""
+    arrays, rng = kitchen_space.arrays, np.random.default_rng(60)
+    for k in range(200):
+        a, b = motions[0][k], motions[1][k]
+        shares = np.sort(rng.choice([0.0, 0.2, 0.5, 0.5, 0.9, 1.0], 9))
+        there = a + np.concatenate([[0.0], shares, [1.0]])[:, None] * (b - a)
+        back = np.concatenate([there, there[::-1]])
+        blocked = blocked_segment(arrays, back, len(back))
+        assert (blocked < 0) == motion_free(arrays, a, b)
+        assert blocked < len(back) - 1
+    assert blocked_segment(arrays, back[:1], 1) == -1
+
+
+def test_the_blocked_segment_of_a_path_holds_a_collision(kitchen_space, motions, answers):
+    """Paths go from one free state to the next, in all directions."""
+    arrays, free = kitchen_space.arrays, motions[0]
+    verdicts = []
+    for k in range(0, 600, 6):
+        path = np.ascontiguousarray(free[k : k + 6])
+        blocked = blocked_segment(arrays, path, len(path))
+        verdicts.append(blocked)
+        alone = [motion_free(arrays, *ends) for ends in zip(path, path[1:], strict=False)]
+        assert all(alone) if blocked < 0 else not alone[blocked]
+    assert 5 < sum(blocked < 0 for blocked in verdicts) < 95
 
 
 index_new_nodes, nearest_node = map(from_python, (index_new_nodes, nearest_node))
