@@ -1,5 +1,7 @@
 """Straight motions are free for coal; the index of nodes is that of a plain search."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from compiled_kernels import from_python
@@ -167,7 +169,7 @@ def test_the_blocked_segment_of_a_path_holds_a_collision(kitchen_space, motions,
         path = np.ascontiguousarray(free[k : k + 6])
         blocked = blocked_segment(arrays, path, len(path))
         verdicts.append(blocked)
-        alone = [motion_free(arrays, *ends) for ends in zip(path, path[1:], strict=False)]
+        alone = [motion_free(arrays, *ends) for ends in pairwise(path)]
         assert all(alone) if blocked < 0 else not alone[blocked]
     assert 5 < sum(blocked < 0 for blocked in verdicts) < 95
 
