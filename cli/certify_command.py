@@ -33,7 +33,7 @@ def run(args: argparse.Namespace) -> int:
         raise InvalidInputError(
             f"suite {args.suite} has tasks; certify the directory of a run, or one problem"
         )
-    found = dry_run(problem, motion, args.current, args.tolerance)
+    found = dry_run(problem, motion, args.current, args.tolerance, exact_clearance=True)
     contents = record(problem, motion, found)
     lines = report_lines(found, contents)
     print(json.dumps(contents, indent=1, allow_nan=False) if args.json else "\n".join(lines))

@@ -152,7 +152,7 @@ def _read(args: argparse.Namespace, problem: PlanningProblem) -> Trajectory:
         raise InvalidInputError(
             f"{args.motion} has no accelerations: write it with cvqmpt plan --trajectory"
         )
-    certificate = dry_run(problem, found, clearance=False).certificate
+    certificate = dry_run(problem, found).certificate
     if not certificate.valid:
         raise InvalidInputError(
             f"{args.motion} is not certified for this problem: {'; '.join(certificate.reasons)}"

@@ -63,6 +63,11 @@ OPTIONS: Options = {
     ),
     "--project-start": option("move the start onto the constraint first (Algorithm 1)", **FLAG),
     **SEED,
+    "--exact-clearance": option(
+        "measure the smallest distances and the tolerated deviation, instead of proving lower "
+        "bounds; always done for a task",
+        **FLAG,
+    ),
     "--json": option("print one json object instead of the report", **FLAG),
     "-v --verbose": option("log the stages of planning on standard error", **FLAG),
     **MOTION,

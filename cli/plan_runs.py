@@ -103,6 +103,7 @@ def _solved_problem(
         backend=args.backend,
         optimize=optimize_budget(args, OPTIMIZE_S),
         near_goals_first=args.suite is None,
+        exact_clearance=args.exact_clearance,
     )
     if args.json:
         return solution, solution_data(solution, planner, why, problem) | {"margin": kept}

@@ -171,7 +171,7 @@ def measure(
     outcomes: dict[Case, Values] = {}
     for case in cases:
         budget, problem = Budget(iterations=case.iterations), _problem(case.suite, case.problem)
-        solution = solve(problem, planner_named(case.planner), budget, case.seed, clearance=False)
+        solution = solve(problem, planner_named(case.planner), budget, case.seed)
         experiment = Experiment(case.suite, (case.problem,), (case.planner,), (case.seed,), budget)
         row = result_row(experiment.runs[0], solution, 0.0)
         outcomes[case] = {column: getattr(row, column) for column in GUARDED_COLUMNS}

@@ -97,7 +97,7 @@ def _recertified(
 def _compared(row: ResultRow, problem: PlanningProblem, states: np.ndarray) -> Recertified:
     """Return the certificate of a row's path (m, n) [rad or m] and its contradictions."""
     try:
-        certificate = certify(problem, JointPath(states))
+        certificate = certify(problem, JointPath(states), exact_clearance=True)
     except InvalidInputError as error:
         return Recertified(row, None, str(error))
     length, trouble = JointPath(states).length, ""

@@ -78,6 +78,7 @@ def outcome_of(run: Run, item: SuiteItem, goals: Goals | None = None) -> Outcome
         optimize=setup.optimize,
         use_cache=not new,
         goals=goals,
+        exact_clearance=True,
     )
     row = result_row(run, solution, 0.0 if goals is None else goals.seconds)
     if solution.plan.waypoints is not None and suite_named(setup.suite).simplified_by_ompl:
@@ -86,7 +87,8 @@ def outcome_of(run: Run, item: SuiteItem, goals: Goals | None = None) -> Outcome
         whole = item.seconds + time.perf_counter() - began
         row = replace(row, t_sense_s=item.seconds, t_whole_s=whole)
         if solution.path is not None:
-            truth = certify(replace(item.problem, scene=item.truth), solution.path)
+            problem = replace(item.problem, scene=item.truth)
+            truth = certify(problem, solution.path, exact_clearance=True)
             doubts = {FaultKind.COLLISION, FaultKind.NOT_PROVEN} & {
                 fault.kind for fault in truth.faults
             }

@@ -6,6 +6,7 @@ import sys
 import time
 from collections import defaultdict
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
@@ -99,6 +100,8 @@ def plan_stages(clock: CpuClock, problem: PlanningProblem, prefix: str = "") -> 
     if plan.path is None:
         return None
     shorter = clock(f"{prefix}shortening", simplify, space, plan.path, rng)
+    exact = partial(certify, exact_clearance=True)
+    clock(f"{prefix}certificate with exact clearances", exact, problem, shorter.path)
     return clock(f"{prefix}certificate", certify, problem, shorter.path)
 
 

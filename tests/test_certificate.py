@@ -25,7 +25,7 @@ def states(solution):
 
 
 def reasons(problem, states):
-    return certify(problem, JointPath(states), clearance=False).reasons
+    return certify(problem, JointPath(states)).reasons
 
 
 def touching(problem, states, gap):
@@ -88,7 +88,7 @@ print(certify(problem, JointPath(np.load(sys.argv[2]))))
 
 def test_a_certificate_does_not_depend_on_what_its_process_did_before(tmp_path):
     """Results are bitwise equal: GJK does not start from an earlier result, boxes do not grow."""
-    found = solve(place_problem(2), "birrt", Budget(iterations=20_000), seed=0, clearance=False)
+    found = solve(place_problem(2), "birrt", Budget(iterations=20_000), seed=0)
     np.save(tmp_path / "states.npy", found.path.states)
     printed = [python(AFTER_OTHERS, count, tmp_path / "states.npy") for count in (0, 1, 40)]
     assert "min_clearance" in printed[0] and printed == 3 * printed[:1]
@@ -97,13 +97,24 @@ def test_a_certificate_does_not_depend_on_what_its_process_did_before(tmp_path):
 def test_bounds_of_a_motion_hold_for_the_curve_that_straight_pieces_stand_for(problem, states):
     """The curve may be a margin of the checker away from the pieces; the bound was the pieces'."""
     apart = 1e-4
-    pieces = certify(problem, JointPath(states))
-    curve = certify(problem, JointPath(states), problem.collision_checker(apart))
+    pieces = certify(problem, JointPath(states), exact_clearance=True)
+    curve = certify(problem, JointPath(states), problem.collision_checker(apart), True)
     for one, other in (
         (pieces.obstacle_clearance, curve.obstacle_clearance),
         (pieces.self_clearance, curve.self_clearance),
     ):
         assert other.at_least_m <= one.distance_m - apart
+
+
+def test_what_the_proof_shows_is_never_more_than_the_exact_clearances(problem, states):
+    shown = certify(problem, JointPath(states))
+    exact = certify(problem, JointPath(states), exact_clearance=True)
+    assert shown.verdict is exact.verdict and shown.tolerated is None and shown.closest is None
+    for bound, found in (
+        (shown.obstacle_clearance, exact.obstacle_clearance),
+        (shown.self_clearance, exact.self_clearance),
+    ):
+        assert not bound.measured and 0.0 < bound.at_least_m <= found.distance_m
 
 
 @settings(max_examples=300)

@@ -98,7 +98,7 @@ def test_a_rotation_vector_that_changes_its_sign_between_states_leaves_bounds(tm
     bounds[3 + row] = sorted((0.5 * first[1 + row], 1.1 * first[1 + row]))
     region = {"T0_w": np.eye(4).tolist(), "Tw_e": np.eye(4).tolist(), "Bw": bounds}
     problem = problem_of(tmp_path, pendulum(), ends, ("part_2",), constraint=[region])
-    found = certify(problem, JointPath(ends), clearance=False)
+    found = certify(problem, JointPath(ends))
     assert found.valid == (cosine > 0.0), found.reasons
 
 
@@ -111,7 +111,7 @@ def test_what_is_tolerated_of_points_and_hand_holds_through_a_lever(tmp_path):
     region = {"T0_w": np.eye(4).tolist(), "Tw_e": Tw_e.tolist(), "Bw": bounds}
     region["T0_w"][2][3] = 0.5
     problem = problem_of(tmp_path, pendulum(), states, ("part_2",), constraint=[region])
-    found = certify(problem, JointPath(states)).tolerated
+    found = certify(problem, JointPath(states), exact_clearance=True).tolerated
     assert 0.009 < found.points_m < 0.011 and 0.018 < found.hand_rad < 0.022
     assert found.points_m + 0.5 * found.hand_rad <= 0.02
 
@@ -125,7 +125,7 @@ def test_what_is_tolerated_of_a_chain_holds_for_both_hands(tmp_path):
     region = {"base": "left", "end_effector": "right", "T0_w": at.tolist()}
     region |= {"Tw_e": np.eye(4).tolist(), "Bw": bounds}
     problem = problem_of(tmp_path, gantry(), states, ("left", "right"), constraint=[region])
-    found = certify(problem, JointPath(states)).tolerated
+    found = certify(problem, JointPath(states), exact_clearance=True).tolerated
     between = 1.0  # [m] from hand to hand
     assert found.points_m > 0.004 and 2.0 * found.points_m + between * found.hand_rad <= 0.02
     assert 2.0 * found.hand_rad <= 0.3

@@ -14,7 +14,8 @@ from cvqmpt_lab.tasks.solve import solve_task
 @pytest.fixture(scope="module")
 def inside(problem):
     """Return a solution of `problem` with the default margin, and its report."""
-    return solve_with_margin(problem, "birrt", Budget(iterations=20_000), 0, Margin())
+    budget = Budget(iterations=20_000)
+    return solve_with_margin(problem, "birrt", budget, 0, Margin(), exact_clearance=True)
 
 
 def test_the_margin_asked_for_is_kept_and_tolerated(inside):

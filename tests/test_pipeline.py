@@ -32,10 +32,10 @@ ENOUGH = Budget(iterations=20_000)
 def test_many_problems_are_solved_as_each_alone_in_the_order_given(problem):
     other = place_problem(1)
     problems = [problem, other, problem.changed(goals=problem.goals[:3])]
-    found = solve_many(problems, "birrt", ENOUGH, seed=1, clearance=False)
+    found = solve_many(problems, "birrt", ENOUGH, seed=1)
     assert [solution.problem.name for solution in found] == [given.name for given in problems]
     for given, solution in zip(problems, found, strict=True):
-        alone = solve(given, "birrt", ENOUGH, seed=1, clearance=False)
+        alone = solve(given, "birrt", ENOUGH, seed=1)
         assert solution.solved and solution.plan.counters == alone.plan.counters
         np.testing.assert_array_equal(solution.path.states, alone.path.states)
     assert solve_many([], "birrt", ENOUGH) == []
@@ -43,8 +43,8 @@ def test_many_problems_are_solved_as_each_alone_in_the_order_given(problem):
 
 @pytest.mark.parametrize("planner", ["birrt", "roadmap-cvq"])
 def test_iterations_left_make_the_path_shorter_and_repeat(problem, planner):
-    plain = solve(problem, planner, ENOUGH, seed=3, clearance=False)
-    how = {"seed": 3, "clearance": False, "optimize": Budget(iterations=60)}
+    plain = solve(problem, planner, ENOUGH, seed=3)
+    how = {"seed": 3, "optimize": Budget(iterations=60)}
     better, again = (solve(problem, planner, ENOUGH, **how) for _ in range(2))
     np.testing.assert_array_equal(better.path.states, again.path.states)
     made = better.improvement
@@ -75,13 +75,13 @@ class Careless:
 def test_the_search_goes_on_after_a_path_that_is_refused(problem, iterations, solved):
     careless = Careless()
     method = Method.simple("careless", search=careless)
-    found = solve(problem, method, Budget(iterations=iterations), seed=0, clearance=False)
+    found = solve(problem, method, Budget(iterations=iterations), seed=0)
     assert found.solved == solved == (careless.calls == 2)
     assert found.plan.status == "solved" and found.certificate.valid == solved
 
 
 def test_seconds_left_are_used_and_hardly_more(problem):
-    how = {"seed": 3, "clearance": False, "optimize": Budget(seconds=0.2)}
+    how = {"seed": 3, "optimize": Budget(seconds=0.2)}
     made = solve(problem, "birrt", Budget(seconds=60.0), **how).improvement
     assert 0.2 <= made.seconds < 1.0
 
@@ -94,7 +94,7 @@ def test_a_clearance_is_planned_for_and_certified(problem, backend):
     placed = [(shape, pose((0.6, 0.2 * k - 0.3, 0.75))) for k, shape in enumerate(shapes)]
     more = [SceneObject(f"more {k}", *each) for k, each in enumerate(placed)]
     world = replace(problem, scene=problem.scene.with_objects(*more), goals=problem.goals[:0])
-    plain = solve(world, "birrt", ENOUGH, seed=0, backend=backend)
+    plain = solve(world, "birrt", ENOUGH, seed=0, backend=backend, exact_clearance=True)
     clear = solve(replace(world, clearance=0.02), "birrt", ENOUGH, seed=0, backend=backend)
     assert plain.solved and plain.certificate.min_clearance_m < 0.02 and clear.solved
     near = certify(replace(world, clearance=0.02), plain.path)
@@ -130,8 +130,7 @@ def test_four_threads_find_the_paths_and_verdicts_of_one(four_threads, number, p
     problem = with_drawn_goals(place_problem(number))
 
     def planned(seed):
-        how = {"backend": backend, "clearance": False}
-        return solve(problem, planner, ENOUGH, seed, **how).path
+        return solve(problem, planner, ENOUGH, seed, backend=backend).path
 
     alone = [planned(seed) for seed in range(3)]
     together = four_threads(planned, 2 * [0, 1, 2])

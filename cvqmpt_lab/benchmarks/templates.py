@@ -164,7 +164,7 @@ def _solved(problem: PlanningProblem, blocked: bool) -> bool:
 
     Every second goal is left out: those are turned by whole turns towards the start.
     """
-    solution = solve(problem, "birrt", Budget(iterations=1000), seed=0, clearance=False)
+    solution = solve(problem, "birrt", Budget(iterations=1000), seed=0)
     if not solution.solved or solution.path is None:
         return False
     if not blocked:

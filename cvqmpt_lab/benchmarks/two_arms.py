@@ -298,7 +298,7 @@ def two_arms_template(source: Mapping[str, Any], numbers: int = 10) -> dict[str,
     for kind, number in product(CARRYING_LAYOUTS, range(numbers)):
         made = carrying_problem(robot, kind, number, draws=1)
         if isinstance(made, PlanningProblem):
-            solution = solve(made, "birrt", Budget(iterations=2000), seed=0, clearance=False)
+            solution = solve(made, "birrt", Budget(iterations=2000), seed=0)
             if solution.solved:
                 joints = dict(zip(robot.joint_names, made.start.tolist(), strict=True))
                 return {**made.to_dict(), "robot": dict(source), "start": joints}

@@ -4,10 +4,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import pinocchio as pin
 
 from cvqmpt_lab.base.values import frozen
 from cvqmpt_lab.constraints.bounds_between import ROTATION_RATE, bound_between
-from cvqmpt_lab.constraints.report import displacements, excess
+from cvqmpt_lab.constraints.report import displaced, excess
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.geometry.polyline import numbered_parts, parts_within, states_between
 from cvqmpt_lab.robot.robot import Robot
@@ -32,8 +33,9 @@ def largest_violation(
     spacing: float,
     tolerance: float,
     most_parts: int = 8,
+    at_first: Sequence[np.ndarray] = (),
 ) -> Violation:
-    """Compute how far straight joint motions leave regions, also between states, by pinocchio.
+    """Compute how far straight joint motions leave regions, also between states.
 
     Between states the violation is bounded, see `bounds_between`.
 
@@ -44,12 +46,15 @@ def largest_violation(
         spacing: largest distance between the states checked at first [rad].
         tolerance: stretches are cut where the bound exceeds it and no state does [m, rad].
         most_parts: largest number of parts that a stretch is cut into at once, up to CUTS times.
+        at_first: displacements (k, 7) of each region at the states checked at first, if they are
+            known [m, rad].
     """
     radians = metres = highest = 0.0
     at, most = None, -np.inf
     begin = evenly_spaced(states, spacing)
-    for region in regions:
-        q, x = begin, displacements(robot, region, begin)
+    for number, region in enumerate(regions):
+        q = begin
+        x = at_first[number] if at_first else _displacements(robot, region, q)
         for rounds_left in range(CUTS, -1, -1):
             beyond = excess(region, x)
             outside = beyond.max(axis=1)
@@ -64,7 +69,7 @@ def largest_violation(
             known, q = np.concatenate([[0], np.cumsum(counts)]), _cut(q, counts)
             new, before = np.ones(len(q), dtype=bool), x
             new[known], x = False, np.empty((len(q), 7))
-            x[known], x[new] = before, displacements(robot, region, q[new])
+            x[known], x[new] = before, _displacements(robot, region, q[new])
         radians, metres = max(radians, beyond[:, 3:].max()), max(metres, beyond[:, :3].max())
         highest = max(highest, (at_ends + between).max(initial=outside.max()))
         if outside.max() > most:
@@ -98,7 +103,7 @@ def least_slack(
     for region in regions:
         lower, upper = region.bounds.T
         thin = ~np.isin(np.arange(7), region.bounded_rows) | ~region.wide
-        x = displacements(robot, region, q)
+        x = _displacements(robot, region, q)
         inside = np.where(thin, np.inf, -excess(region, x).max(axis=0))
         seen = np.array([inside[3:].min(), inside[:3].min()]).clip(min=0.0)
         free = np.where(thin[:6, None], [-np.inf, np.inf], 0.0)
@@ -106,7 +111,7 @@ def least_slack(
             radians, metres = np.where(np.isinf(seen), 0.0, seen).tolist()
             moved = region.inset(metres, radians, share=0.5)
             moved = moved.changed(Bw=frozen(np.where(thin[:6, None], free, moved.Bw)))
-            found = largest_violation(robot, (moved,), states, spacing, resolution)
+            found = largest_violation(robot, (moved,), states, spacing, resolution, at_first=(x,))
             if max(found.radians, found.metres) <= resolution:
                 seen -= found.largest
                 break
@@ -127,6 +132,15 @@ def least_slack(
 def evenly_spaced(states: np.ndarray, spacing: float) -> np.ndarray:
     """Cut the segments between states (m, n) into pieces of at most `spacing` [rad]."""
     return _cut(states, parts_within(states, spacing))
+
+
+def _displacements(robot: Robot, region: TaskSpaceRegion, states: np.ndarray) -> np.ndarray:
+    """Return displacements (m, 7) as `report.displacements`, of all states (m, n) at once."""
+    name = region.end_effector or robot.end_effector
+    frame = robot.model.frames[robot.model.getFrameId(name, pin.FrameType.BODY)]
+    links = robot.joint_frames.poses(robot.kinematics.joint_values(states))
+    poses = links[frame.parentJoint] @ frame.placement.homogeneous
+    return displaced(region, poses, region.reference_poses(robot, states))
 
 
 def _cut(states: np.ndarray, counts: np.ndarray) -> np.ndarray:

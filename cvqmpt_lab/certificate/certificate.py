@@ -62,12 +62,20 @@ class Fault(NamedTuple):
 
 
 class Clearance(NamedTuple):
-    """Least distance of pieces on a path: at_least_m <= true least distance <= distance_m."""
+    """Least distance of pieces on a path: at_least_m <= true least distance <= distance_m.
 
-    distance_m: float  # the least that was found; negative in collision
+    Without exact clearances, `at_least_m` alone is known.
+    """
+
+    distance_m: float  # the least that was found; negative in collision; nan if not measured
     at_least_m: float  # proven of every state; -inf if nothing is proven
-    pair: str  # names of the two pieces
-    at: float  # place on the path, as `Fault.at`
+    pair: str  # names of the two pieces; "" if not measured
+    at: float  # place on the path, as `Fault.at`; nan if not measured
+
+    @property
+    def measured(self) -> bool:
+        """Whether the least distance was measured, with its pair and place."""
+        return not np.isnan(self.distance_m)
 
 
 class Deviation(NamedTuple):
@@ -94,15 +102,15 @@ class Certificate:
     faults: tuple[Fault, ...]
     max_violation_rad: float  # largest rotation outside the constraint's bounds
     max_violation_m: float  # largest translation outside the constraint's bounds
-    # the smaller one of the two clearances; inf without pairs, nan if they were not computed
+    # the smaller one of the two clearances; inf without pairs, nan if they were not measured
     min_clearance_m: float
     states_checked: int  # number of states at which distances were compared
     unproven_rad: float = 0.0  # length of the longest stretch not proven free with a free middle
     unproven_m: float = 0.0  # largest motion of a point of the robot in half of that stretch
-    # from obstacles, and of the robot's own pieces; None without pairs, or if not computed
+    # from obstacles, and of the robot's own pieces; None without pairs
     obstacle_clearance: Clearance | None = None
     self_clearance: Clearance | None = None
-    tolerated: Deviation | None = None  # None if not computed
+    tolerated: Deviation | None = None  # None without exact clearances
 
     @property
     def verdict(self) -> Verdict:
@@ -124,16 +132,17 @@ class Certificate:
 
     @property
     def closest(self) -> Clearance | None:
-        """The smaller one of the two clearances; None without pairs, or if not computed."""
+        """The smaller one of the two clearances; None without pairs, or if not measured."""
         clearances = filter(None, (self.obstacle_clearance, self.self_clearance))
-        return min(clearances, key=lambda clearance: clearance.distance_m, default=None)
+        measured = [clearance for clearance in clearances if clearance.measured]
+        return min(measured, key=lambda clearance: clearance.distance_m, default=None)
 
 
 def certify(
     problem: PlanningProblem,
     path: JointPath,
     checker: CollisionChecker | None = None,
-    clearance: bool = True,
+    exact_clearance: bool = False,
 ) -> Certificate:
     """Check all states of a path q(s), and its ends.
 
@@ -143,7 +152,9 @@ def certify(
         problem: start, goals, constraint, robot and scene.
         path: straight joint motions between states.
         checker: the exact checker; None: that of the problem.
-        clearance: whether the least distances are computed and proven.
+        exact_clearance: whether the least distances and the tolerated deviation are computed;
+            this takes two to three times as long. Else the clearances are lower bounds, which
+            the proof of the motion shows anyway.
     """
     checker = checker or problem.collision_checker()
     unusable = _unusable(problem, path.states)
@@ -152,7 +163,7 @@ def certify(
     violation = largest_violation(
         problem.robot, problem.constraint, path.states, CHECK_SPACING_RAD, CERTIFICATE_TOLERANCE
     )
-    proof = prove_free(checker, path.states, clearance)
+    proof = prove_free(checker, path.states, exact_clearance)
     faults = [*_end_faults(problem, path), *_motion_faults(problem, path)]
     if violation.at is not None and violation.largest > CERTIFICATE_TOLERANCE:
         kind = FaultKind.MANIFOLD
@@ -182,19 +193,23 @@ def certify(
         faults.append(Fault(FaultKind.NOT_PROVEN, text))
     proven_free = proof.colliding is None and proof.unproven is None
     proven_m = problem.clearance if proven_free else -np.inf
-    # the checker's margin is the distance of a motion from the straight pieces that stand for it
-    to_obstacles = _clearance(path.states, proof.obstacles, proven_m, checker.margin)
-    to_itself = _clearance(path.states, proof.itself, -np.inf, checker.margin)
-    distances = [item.distance_m for item in (to_obstacles, to_itself) if item]
+    to_obstacles, to_itself = (
+        _clearance(path.states, *found, checker.margin)
+        for found in (
+            (proof.obstacles, proof.kept[0], proven_m),
+            (proof.itself, proof.kept[1], -np.inf),
+        )
+    )
+    found = [item for item in (to_obstacles, to_itself) if item]
     tolerated = None
-    if clearance:
+    if exact_clearance:
         clearances = (to_obstacles, to_itself)
         tolerated = deviation_tolerated(problem, path.states, clearances, checker.margin)
     return Certificate(
         faults=tuple(faults),
         max_violation_rad=violation.radians,
         max_violation_m=violation.metres,
-        min_clearance_m=min(distances, default=np.inf) if clearance else np.nan,
+        min_clearance_m=min((item.distance_m for item in found), default=np.inf),
         states_checked=proof.checks,
         unproven_rad=proof.unproven.length if proof.unproven else 0.0,
         unproven_m=moved,
@@ -255,17 +270,25 @@ def _place(states: np.ndarray, q: np.ndarray) -> float:
 
 
 def _clearance(
-    states: np.ndarray, least: LeastDistance | None, proven_m: float, apart_m: float
+    states: np.ndarray,
+    least: LeastDistance | None,
+    kept: float,
+    proven_m: float,
+    apart_m: float,
 ) -> Clearance | None:
     """Return the clearance on a motion; None without a pair.
 
     Args:
         states: (m, n) on the straight pieces that stand for the motion [rad or m].
-        least: least distance on the straight pieces.
-        proven_m: distance that is proven of every state in addition.
-        apart_m: largest distance of the motion's points from those of the straight pieces.
+        least: least distance on the straight pieces, or None if it was not measured.
+        kept: distance that every state on the straight pieces keeps [m], see `MotionProof`.
+        proven_m: distance that is proven of every state in addition [m].
+        apart_m: largest distance of the motion's points from those of the straight pieces [m].
     """
-    if least is None or least.pair is None:
+    if least is None:
+        proven = max(kept - apart_m, proven_m)
+        return None if kept == np.inf else Clearance(np.nan, proven, "", np.nan)
+    if least.pair is None:
         return None
     proven = max(least.distance - least.bound - apart_m, proven_m)
     return Clearance(least.distance, proven, str(least.pair), _place(states, least.q))

@@ -71,7 +71,7 @@ def certified_motion(
     def faults(motion: Trajectory) -> Sequence[str]:
         states = (motion.positions, motion.times, motion.velocities, motion.accelerations)
         moving = Motion(motion.joint_names, *states)
-        return dry_run(problem, moving, clearance=False).certificate.reasons
+        return dry_run(problem, moving).certificate.reasons
 
     return time_path(states, problem.robot.joint_limits, settings, faults, problem.dynamics)
 
@@ -81,7 +81,7 @@ def dry_run(
     motion: Motion,
     current: np.ndarray | None = None,
     tolerance: float = 0.01,
-    clearance: bool = True,
+    exact_clearance: bool = False,
 ) -> DryRun:
     """Check a path or trajectory before it is sent to an arm.
 
@@ -90,7 +90,7 @@ def dry_run(
         motion: the path or trajectory.
         current: (n,), present configuration of the arm [rad or m]; None: it is not checked.
         tolerance: largest difference of `current` from the begin of the motion [rad or m].
-        clearance: whether the least distances are computed and proven.
+        exact_clearance: as in `certify`.
 
     Raises InvalidInputError for joints of another robot, for a trajectory without velocities, and
     for times that do not increase.
@@ -104,7 +104,7 @@ def dry_run(
         else []
     )
     if motion.times is None or not usable:
-        certificate = certify(problem, JointPath(states), clearance=clearance)
+        certificate = certify(problem, JointPath(states), exact_clearance=exact_clearance)
         return DryRun(replace(certificate, faults=(*faults, *certificate.faults)), states)
     # a hinge moves points by at most the diameter times dq, a slider by dq [m]
     deviation_m = (
@@ -120,7 +120,7 @@ def dry_run(
             times = _moments(curve, robot.joint_limits, CURVE_TOLERANCE - gap * together)
             states = curve(times)
             checker = problem.collision_checker(deviation_m)
-            certificate = certify(problem, JointPath(states), checker, clearance)
+            certificate = certify(problem, JointPath(states), checker, exact_clearance)
         # the quintic has these accelerations at its points
         given = motion.accelerations if name == "cubic" else None
         limits = robot.joint_limits
@@ -136,7 +136,15 @@ def dry_run(
         runs.append(DryRun(replace(certificate, faults=every), states, times, deviation_m, name))
         if every:
             return runs[-1]
-    return min(runs, key=lambda run: (run.certificate.valid, run.certificate.min_clearance_m))
+    return min(runs, key=lambda run: (run.certificate.valid, _least(run.certificate)))
+
+
+def _least(certificate: Certificate) -> float:
+    """Return the least distance that a certificate knows [m]: measured, else proven."""
+    if not np.isnan(certificate.min_clearance_m):
+        return certificate.min_clearance_m
+    clearances = filter(None, (certificate.obstacle_clearance, certificate.self_clearance))
+    return min((item.at_least_m for item in clearances), default=np.inf)
 
 
 def _curves(motion: Motion) -> tuple[dict[str, PPoly], float]:

@@ -2,9 +2,12 @@
 
 A stretch of a motion is free if the distance at its middle, by coal, is larger than the motion of
 any link inside the stretch. A stretch that is not proven is cut in two. A stretch of the smallest
-length that is still not proven is reported, although its middle is free. The least distance is
-found at the same time: every stretch is proven to keep a little less than the least distance found
-so far. The result does not depend on the arbitrary order in which coal reports colliding pairs.
+length that is still not proven is reported, although its middle is free.
+
+A stretch is proven to keep some distance in addition where this costs few more checks; the least of
+these is a distance that every state keeps. The exact least distance takes as long again: then every
+stretch is proven to keep a little less than the least distance found so far. The result does not
+depend on the arbitrary order in which coal reports colliding pairs.
 """
 
 from collections import deque
@@ -14,7 +17,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.collision.exact import COAL_ROUNDING_M, CollidingPair, CollisionChecker, Nearest
+from cvqmpt_lab.collision.exact import (
+    COAL_ROUNDING_M,
+    Cleared,
+    CollidingPair,
+    CollisionChecker,
+    Nearest,
+)
 from cvqmpt_lab.geometry.polyline import Polyline
 
 
@@ -42,13 +51,16 @@ class MotionProof:
     colliding: np.ndarray | None  # (n,), the first colliding configuration found, or None
     unproven: Unproven | None  # the longest unproven stretch; None after a collision
     checks: int  # number of stretches that were checked
-    # distances from obstacles, and between own pieces; None if they were not computed
+    # distances that every state keeps from obstacles, and between own pieces [m]; -inf if one
+    # stretch is not proven, inf without pairs
+    kept: tuple[float, float]
+    # least distances from obstacles, and between own pieces; None if they were not computed
     obstacles: LeastDistance | None = None
     itself: LeastDistance | None = None
 
 
 def prove_free(
-    checker: CollisionChecker, states: np.ndarray, clearance: bool = False
+    checker: CollisionChecker, states: np.ndarray, exact_clearance: bool = False
 ) -> MotionProof:
     """Prove that straight joint motions through states (m, n), m >= 1, touch nothing.
 
@@ -57,20 +69,22 @@ def prove_free(
     Args:
         checker: the exact checker.
         states: (m, n) [rad or m].
-        clearance: whether least distances are computed and proven.
+        exact_clearance: whether least distances are computed and proven.
     """
     line = Polyline(states)
-    to_itself = _LeastSearch(checker.nearest_of_itself, line) if clearance else None
-    to_obstacles = _LeastSearch(checker.nearest_obstacle, line) if clearance else None
-    clear, hits = checker.clear_of_obstacles, checker.in_collision
-    proof = _prove(line, checker.links, clear, hits, to_obstacles, checker.outer)
+    to_itself = _LeastSearch(checker.nearest_of_itself, line) if exact_clearance else None
+    to_obstacles = _LeastSearch(checker.nearest_obstacle, line) if exact_clearance else None
+    proof = _prove(line, checker.links, checker.clear_of_obstacles, to_obstacles, checker.outer)
     if proof.colliding is None:
-        clear = checker.clear_of_itself
-        itself = _prove(line, checker.pairs, clear, hits, to_itself, checker.margin)
+        itself = _prove(line, checker.pairs, checker.clear_of_itself, to_itself, checker.margin)
         both = proof.unproven, itself.unproven
         longest = max(both, key=lambda stretch: stretch.length if stretch else -1.0)
         unproven = None if itself.colliding is not None else longest
-        proof = MotionProof(itself.colliding, unproven, proof.checks + itself.checks)
+        kept = proof.kept[0], itself.kept[1]
+        proof = MotionProof(itself.colliding, unproven, proof.checks + itself.checks, kept)
+    compared = checker.links * checker.obstacles, checker.pairs
+    kept = tuple(k if pairs else np.inf for k, pairs in zip(proof.kept, compared, strict=True))
+    proof = replace(proof, kept=kept)
     if to_obstacles is None or to_itself is None:
         return proof
     if proof.colliding is not None:
@@ -129,8 +143,7 @@ class _LeastSearch:
 def _prove(
     line: Polyline,
     parts: int,
-    clear: Callable[[np.ndarray, np.ndarray, np.ndarray, float], tuple[np.ndarray, np.ndarray]],
-    hits: Callable[[np.ndarray], bool],
+    clear: Callable[..., Cleared],
     least: _LeastSearch | None,
     margin: float,
     longest: float = 0.2,
@@ -140,6 +153,8 @@ def _prove(
     max_fine_checks: int = 4000,
     most_at_once: int = 64,
     effort: int = 200,
+    far: float = 0.01,
+    rate: float = 0.05,
 ) -> MotionProof:
     """Prove stretch after stretch with `CollisionChecker.clear_of_obstacles` or `clear_of_itself`.
 
@@ -148,9 +163,7 @@ def _prove(
     Args:
         line: the motion.
         parts: number of links or pairs that are proven in each stretch, one after the other.
-        clear: function of (middles, hulls, numbers of parts already proven, distance [m]); returns
-            the numbers of parts proven to keep the distance, and the motion of the others [m].
-        hits: function that returns whether a state collides.
+        clear: one of these two methods.
         least: search for the least distance, or None.
         margin: margin of the checker [m].
         longest: length of the first stretches [rad].
@@ -163,6 +176,9 @@ def _prove(
         most_at_once: number of stretches in one call; few, as a collision makes the rest useless.
         effort: number of checks, or ten for each of the first stretches, after which the relative
             tolerance of the least distance doubles.
+        far: distance that long stretches are proven to keep without a search for the least one [m].
+        rate: that distance per length of shorter stretches, so that it costs few more checks
+            [m/rad].
     """
     half_length = 0.5 * line.length
     count = max(1, int(np.ceil(half_length / longest)))
@@ -170,24 +186,28 @@ def _prove(
     half = half_length / count
     ahead = deque((2.0 * k * half, half, 0) for k in range(count))
     checks = fine = 0
+    kept = far
     unproven: Unproven | None = None
     while ahead:
         batch = [ahead.popleft() for _ in range(min(most_at_once, len(ahead)))]
         begins, halves, known = np.array(batch).T
         middles, hulls = line.stretches(begins, halves)
-        aim = least.aim(checks // max(effort, 10 * count)) if least else 0.0
-        proven, moved = clear(middles, hulls, known.astype(int), aim)
+        aims = np.minimum(far, rate * halves)
         if least:
+            aims[:] = aim = least.aim(checks // max(effort, 10 * count))
             least.lower = min(least.lower, aim)
+        found = clear(middles, hulls, known.astype(int), aims, halves <= doubtful)
         left: list[tuple[float, float, int]] = []
-        results = zip(batch, middles, hulls, proven.tolist(), moved.tolist(), strict=True)
-        for (begin, half, _), middle, hull, free, motion in results:
+        columns = (values.tolist() for values in (aims, *found))
+        results = zip(batch, middles, hulls, *columns, strict=True)
+        for (begin, half, _), middle, hull, aim, free, motion, hit in results:
             checks += 1
             fine += half < coarse
             if free == parts:
+                kept = min(kept, max(aim, margin))
                 continue
-            if half <= doubtful and hits(middle):
-                return MotionProof(middle, None, checks)
+            if hit:
+                return MotionProof(middle, None, checks, (-np.inf, -np.inf))
             if least and motion < 0.5 * least.found.distance:
                 # the middle may be the closest so far; no state is closer by more than `motion`
                 kept = least.measure(middle) - motion
@@ -199,7 +219,8 @@ def _prove(
                 continue
             if least:
                 least.lower = min(least.lower, least.measure(middle) - motion)
+            kept = -np.inf
             if unproven is None or 2.0 * half > unproven.length:
                 unproven = Unproven(2.0 * half, middle, hull)
         ahead.extendleft(reversed(left))
-    return MotionProof(None, unproven, checks)
+    return MotionProof(None, unproven, checks, (kept, kept))

@@ -132,8 +132,7 @@ def report_lines(found: DryRun, contents: dict[str, Any]) -> list[str]:
     if certificate.states_checked == 0:
         return lines
     distances = [
-        f"{what} {1e3 * clearance.distance_m:.2f} mm, {_proven(clearance)}, "
-        f"{_where(found, clearance.at)}: {clearance.pair}"
+        f"{what} {_distance(found, clearance)}"
         for what, clearance in (
             ("obstacles", certificate.obstacle_clearance),
             ("self", certificate.self_clearance),
@@ -179,10 +178,20 @@ def report_lines(found: DryRun, contents: dict[str, Any]) -> list[str]:
     ]
 
 
+def _distance(found: DryRun, clearance: Clearance) -> str:
+    """Return a clearance as text: what was measured and what is proven."""
+    if not clearance.measured:
+        return _proven(clearance)
+    measured = f"{1e3 * clearance.distance_m:.2f} mm, {_proven(clearance)}"
+    return f"{measured}, {_where(found, clearance.at)}: {clearance.pair}"
+
+
 def _proven(clearance: Clearance) -> str:
     """Return the lower bound on the distance over all states as text; it says if there is none."""
     if not math.isfinite(clearance.at_least_m):
-        return "the smallest distance found, not a proven bound"
+        return (
+            "the smallest distance found, not a proven bound" if clearance.measured else "unknown"
+        )
     # rounded down to 0.01 mm
     return f"at least {math.floor(1e5 * max(clearance.at_least_m, 0.0)) / 100:.2f} mm everywhere"
 

@@ -5,7 +5,6 @@ links against obstacles are coal's broad phases, one a link and one for the worl
 obstacles need no pairs.
 """
 
-from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -46,6 +45,14 @@ class Nearest(NamedTuple):
 
     distance: float  # [m], negative (penetration) in collision; inf without pairs
     pair: CollidingPair | None
+
+
+class Cleared(NamedTuple):
+    """What is proven of links or pairs in hulls of configurations."""
+
+    free: np.ndarray  # (k,) int, numbers of leading links or pairs that are proven to be free
+    moved: np.ndarray  # (k,), largest motion of any point of what was checked in each hull [m]
+    hits: np.ndarray  # (k,) bool, whether a doubtful configuration collides
 
 
 class CollisionChecker:
@@ -108,6 +115,7 @@ class CollisionChecker:
         self._own_pairs = np.array(pairs, dtype=int).reshape(-1, 2).T
         self.pairs = len(pairs)
         self._obstacles = list(obstacles_within(scene, reach_with(robot, attachments) + clearance))
+        self.obstacles = len(self._obstacles)  # number of pieces of obstacles
         # broad phases by inflation [m], and the objects whose boxes they use and do not own
         self._worlds: dict[
             float, tuple[coal.DynamicAABBTreeCollisionManager, list[coal.CollisionObject]]
@@ -119,8 +127,7 @@ class CollisionChecker:
 
     def in_collision(self, q: np.ndarray) -> bool:
         """Whether configuration q (n,) touches anything. About 20 us."""
-        values = self.robot.kinematics.joint_values(q)
-        if pin.computeCollisions(self._model, self._data, self._own, values, True):
+        if self._touches_itself(q):
             return True
         for part in self._parts:
             part.update()
@@ -131,8 +138,13 @@ class CollisionChecker:
         return np.array([self.in_collision(q) for q in configurations], dtype=bool)
 
     def clear_of_obstacles(
-        self, q: np.ndarray, hulls: np.ndarray, known: np.ndarray, least: float = 0.0
-    ) -> tuple[np.ndarray, np.ndarray]:
+        self,
+        q: np.ndarray,
+        hulls: np.ndarray,
+        known: np.ndarray,
+        least: np.ndarray,
+        doubtful: np.ndarray,
+    ) -> Cleared:
         """Number of leading links proven to touch no obstacle anywhere in hulls of configurations.
 
         Links are in order from the base. A link l is free in a hull H if its distance from
@@ -144,27 +156,30 @@ class CollisionChecker:
             q: (k, n), a configuration in each hull.
             hulls: (k, c, n), corners of convex hulls of configurations.
             known: (k,) int, numbers of leading links known to be free: they are not checked.
-            least: distance to prove [m], if it is larger than the checker's margin.
-
-        Returns:
-            Numbers (k,) int, `links` if all are free; largest motion of any point of the checked
-            links in each hull (k,) [m].
+            least: (k,), distance to prove [m], if it is larger than the checker's margin.
+            doubtful: (k,) bool, whether q is checked for collision if a link is not proven.
         """
         moved = self._sweep.in_world(q, hulls, known)
-        needed = _needed(moved, max(self.outer, least))
-        free = known.copy()
+        needed = _needed(moved, np.maximum(self.outer, least)[:, None])
+        free, hits = known.copy(), np.zeros(len(q), dtype=bool)
         for k in np.flatnonzero(free < self.links):
             self._pose(q[k])
             for link in range(free[k], self.links):
                 gap = needed[k, link]
                 if gap > BROAD_PHASE_INFLATIONS_M[-1] or self._meets_obstacle(link, gap):
+                    hits[k] = doubtful[k] and self._near_obstacles(self.outer, link)
                     break
                 free[k] += 1
-        return free, moved.max(axis=1, initial=0.0)
+        return Cleared(free, moved.max(axis=1, initial=0.0), hits)
 
     def clear_of_itself(
-        self, q: np.ndarray, hulls: np.ndarray, known: np.ndarray, least: float = 0.0
-    ) -> tuple[np.ndarray, np.ndarray]:
+        self,
+        q: np.ndarray,
+        hulls: np.ndarray,
+        known: np.ndarray,
+        least: np.ndarray,
+        doubtful: np.ndarray,
+    ) -> Cleared:
         """Number of leading pairs of the robot's own pieces proven to be free.
 
         Args:
@@ -172,17 +187,22 @@ class CollisionChecker:
             hulls: the same.
             known: numbers of pairs known to be free.
             least: the same.
-
-        Returns:
-            As `clear_of_obstacles`; all are free if the number is `pairs`.
+            doubtful: the same.
         """
+        free, hits = np.full(len(q), self.pairs), np.zeros(len(q), dtype=bool)
         if self.pairs == 0:
-            return known, np.zeros(len(q))
+            return Cleared(free, np.zeros(len(q)), hits)
         moved = self._sweep.between(q, hulls)
         moved[np.arange(self.pairs) < known[:, None]] = 0.0
-        needed = _needed(moved, max(self.margin, least))
-        free = [self._apart(*it) for it in zip(q, needed, known.tolist(), strict=True)]
-        return np.array(free, dtype=int), moved.max(axis=1)
+        needed = _needed(moved, np.maximum(self.margin, least)[:, None])
+        near = self._near_pairs(q, needed) & (np.arange(self.pairs) >= known[:, None])
+        for k in np.flatnonzero(near.any(axis=1)):
+            self._place(q[k])
+            for pair in np.flatnonzero(near[k]).tolist():
+                if self._own_distance(pair) <= needed[k, pair]:
+                    free[k], hits[k] = pair, doubtful[k] and self._touches_itself(q[k])
+                    break
+        return Cleared(free, moved.max(axis=1), hits)
 
     def _place(self, q: np.ndarray) -> None:
         """Move all pieces to configuration q (n,), without the broad phases."""
@@ -221,26 +241,32 @@ class CollisionChecker:
         """Bound [m] on the motion of any point of the robot from q (n,) in a hull (c, n)."""
         return float(self._sweep.in_world(q[None], hull[None]).max(initial=0.0))
 
-    def _apart(self, q: np.ndarray, gaps: np.ndarray, known: int) -> int:
-        """Number of leading own pairs with distances at q (n,) above gaps (p,) [m].
+    def _near_pairs(self, q: np.ndarray, gaps: np.ndarray | float) -> np.ndarray:
+        """Return which own pairs have balls that are at most `gaps` apart.
 
-        The first `known` pairs are not checked.
+        Args:
+            q: (k, n).
+            gaps: (k, pairs), or one for all [m].
+
+        Returns:
+            (k, pairs) bool.
         """
-        near = self._near_pairs(q, gaps)
-        for k in near[bisect_left(near, known) :]:
-            if pin.computeDistance(self._geometry, self._own_results, k).min_distance <= gaps[k]:
-                return k
-        return self.pairs
-
-    def _near_pairs(self, q: np.ndarray, gaps: np.ndarray | float) -> list[int]:
-        """Move the pieces to q (n,); return own pairs whose balls are at most `gaps` [m] apart."""
-        self._place(q)
+        poses = self._sweep.frames.poses(self.robot.kinematics.joint_values(q))
         (first, second), (joints, balls) = self._own_pairs, self._balls
-        R = np.array([T.rotation for T in self._data.oMi])
-        t = np.array([T.translation for T in self._data.oMi])
-        centres = np.einsum("kij,kj->ki", R[joints], balls[:, :3]) + t[joints]
-        between = np.linalg.norm(centres[first] - centres[second], axis=1)
-        return np.flatnonzero(between - balls[first, 3] - balls[second, 3] <= gaps).tolist()
+        T = poses[joints]
+        centres = (T[..., :3, :3] @ balls[:, None, :3, None])[..., 0] + T[..., :3, 3]
+        between = centres[first] - centres[second]
+        reach = balls[first, 3] + balls[second, 3]
+        return np.sqrt(np.einsum("pka,pka->kp", between, between)) - reach <= gaps
+
+    def _own_distance(self, pair: int) -> float:
+        """Distance of an own pair [m] where the pieces are placed."""
+        return pin.computeDistance(self._geometry, self._own_results, pair).min_distance
+
+    def _touches_itself(self, q: np.ndarray) -> bool:
+        """Whether the robot's own pieces touch each other at q (n,)."""
+        values = self.robot.kinematics.joint_values(q)
+        return bool(pin.computeCollisions(self._model, self._data, self._own, values, True))
 
     def colliding_pair(self, q: np.ndarray) -> CollidingPair | None:
         """First overlapping pair, or None."""
@@ -283,8 +309,10 @@ class CollisionChecker:
     def nearest_of_itself(self, q: np.ndarray, least: float = np.inf) -> Nearest:
         """Smallest distance of the robot's own pieces, if it is below `least` [m]."""
         nearest = Nearest(least, None)
-        for k in self._near_pairs(q, least):
-            found = pin.computeDistance(self._geometry, self._own_results, k).min_distance
+        near = np.flatnonzero(self._near_pairs(q[None], least)) if self.pairs else np.empty(0, int)
+        self._place(q)
+        for k in near.tolist():
+            found = self._own_distance(k)
             if found < nearest.distance:
                 nearest = Nearest(found, self._own_pair(k))
         return nearest
@@ -367,10 +395,14 @@ class CollisionChecker:
             self._worlds[inflation] = phase, objects
         return self._worlds[inflation]
 
-    def _near_obstacles(self, margin: float) -> bool:
-        """Whether the posed robot is closer to an obstacle than `margin` [m]."""
+    def _near_obstacles(self, margin: float, first: int = 0) -> bool:
+        """Whether a posed link, from number `first` on, is closer to an obstacle than `margin` [m].
+
+        Links are in order from the base.
+        """
         # from the tip: the hand is near most often
-        return any(self._meets_obstacle(link, margin) for link in range(self.links - 1, -1, -1))
+        links = range(self.links - 1, first - 1, -1)
+        return any(self._meets_obstacle(link, margin) for link in links)
 
     def _meets_obstacle(self, link: int, margin: float) -> bool:
         """Whether a posed link (from the base) is closer to an obstacle than `margin` [m]."""

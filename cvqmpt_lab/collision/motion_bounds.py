@@ -20,7 +20,7 @@ class Sweep:
     """
 
     def __init__(self, robot: Robot, geometry: pin.GeometryModel, links: Sequence[int]) -> None:
-        self._model, self._data = robot.model, robot.model.createData()
+        self.frames = robot.joint_frames
         # bounds are of all joints' values: those of joints that mimic others are linear in q
         self._kinematics = robot.kinematics
         objects, joints = geometry.geometryObjects, robot.model.njoints
@@ -34,7 +34,6 @@ class Sweep:
         (a, b), self._pair = np.unique(
             np.array(pairs, dtype=int).reshape(-1, 2).T, axis=1, return_inverse=True
         )
-        self._hinges = ~robot.kinematics.prismatic
         self._links = np.array(links, dtype=int)
         self._moving = support[self._links]
         self._sides = np.concatenate([a, b])
@@ -56,24 +55,18 @@ class Sweep:
         bounds = np.zeros((len(q), len(self._links)))
         first = int(skipped.min(initial=len(self._links)))
         links, moving = self._links[first:], self._moving[first:]
-        bounds[:, first:] = self._bounds(links, moving, q, hulls, skipped - first)
+        bounds[:, first:] = self._bounds(links, moving, q, hulls)
         bounds[np.arange(len(self._links)) < skipped[:, None]] = 0.0
         return bounds
 
     def between(self, q: np.ndarray, hulls: np.ndarray) -> np.ndarray:
         """Bounds (k, p) [m] on the relative motion of two points of a pair: sums of two bounds."""
-        none = np.zeros(len(q), dtype=int)
         q, hulls = self._kinematics.joint_values(q), self._kinematics.joint_values(hulls)
-        bounds = self._bounds(self._sides, self._moving_sides, q, hulls, none)
+        bounds = self._bounds(self._sides, self._moving_sides, q, hulls)
         return bounds.reshape(len(q), 2, -1).sum(1)[:, self._pair.reshape(-1)]
 
     def _bounds(
-        self,
-        links: np.ndarray,
-        moving: np.ndarray,
-        q: np.ndarray,
-        hulls: np.ndarray,
-        skipped: np.ndarray,
+        self, links: np.ndarray, moving: np.ndarray, q: np.ndarray, hulls: np.ndarray
     ) -> np.ndarray:
         """Bounds (k, l) [m] on the motion of any point x of each link, by some joints alone.
 
@@ -93,38 +86,38 @@ class Sweep:
             moving: (l, n) bool, the joints that move each link; the others are fixed.
             q: (k, n).
             hulls: (k, c, n).
-            skipped: (k,) int, number of leading links whose bound may be any number.
         """
         if len(links) == 0:
             return np.zeros((len(q), 0))
-        # Jacobian columns (6, k, n), and centres of the links' balls (3, k, joints) [m]
-        columns, centres = np.empty((6, *q.shape)), np.zeros((3, len(q), len(self._balls)))
-        poses, posed = self._data.oMi, list(dict.fromkeys(links.tolist()))
-        for k, row in enumerate(q):
-            jacobian = pin.computeJointJacobians(self._model, self._data, row)
-            columns[:, k] = jacobian.reshape(6, -1)  # (6,) of a single joint
-            for link in posed[skipped[k] :]:
-                centres[:, k, link] = poses[link].act(self._balls[link, :3])
-        v0, v1, v2, w0, w1, w2 = columns[:, :, None]
-        x, y, z = centres[:, :, links, None]
+        hinges, poses = self.frames.hinges, self.frames.poses(q)
+        balls = self._balls[links, :3, None]
+        centres = (poses[links, :, :3, :3] @ balls[:, None])[..., 0] + poses[links, :, :3, 3]
+        # axes of joints (3, k, 1, n), and centres of the links' balls from the joints' origins [m]
+        w0, w1, w2 = self.frames.axes(poses).transpose(2, 1, 0)[:, :, None]
+        x, y, z = (centres[:, None] - poses[1:, :, :3, 3]).transpose(3, 2, 0, 1)
         # velocities of each link's centre, and angular velocities
         twists = np.empty((2, 3, len(q), *moving.shape))
-        twists[0] = v0 + w1 * z - w2 * y, v1 + w2 * x - w0 * z, v2 + w0 * y - w1 * x
-        twists[1] = columns[3:, :, None]
+        twists[0] = w1 * z - w2 * y, w2 * x - w0 * z, w0 * y - w1 * x
+        twists[1] = w0, w1, w2
+        if not hinges.all():
+            twists[0][..., ~hinges] = twists[1][..., ~hinges]
+            twists[1][..., ~hinges] = 0.0
         twists *= moving
         changes, radii = hulls - q[:, None], self._balls[links, 3, None]
         first = _lengths(twists @ changes.transpose(0, 2, 1))
         furthest = (first[0] + first[1] * radii).max(axis=2)
         speeds, turns = _lengths(twists)
-        most = np.abs(changes).max(axis=1)[:, None]
-        turned = most * (moving & self._hinges)
-        around = 2.0 * np.cumsum(turned, axis=2) - turned
-        later, second = np.zeros(furthest.shape), np.zeros(furthest.shape)
+        most = np.abs(changes).max(axis=1)[:, None] * moving
+        turned = most * hinges
+        around = np.cumsum(turned, axis=2) - 0.5 * turned
+        # joints first: what a step of the loop reads is contiguous
+        most = np.ascontiguousarray(most.transpose(2, 0, 1))
+        fastest = np.ascontiguousarray((speeds + turns * radii).transpose(2, 0, 1))
+        later = np.zeros(furthest.shape)
         for j in range(moving.shape[1] - 1, -1, -1):
-            fastest = speeds[..., j] + turns[..., j] * radii[:, 0] + later
-            moved = most[..., j] * moving[:, j] * fastest
-            second += 0.5 * around[..., j] * moved
-            later += moved
+            fastest[j] += later
+            later += most[j] * fastest[j]
+        second = np.einsum("klj,jkl,jkl->kl", around, most, fastest)
         return furthest + second
 
 

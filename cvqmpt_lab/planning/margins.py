@@ -105,8 +105,8 @@ def solve_with_margin(
         **options: more arguments of `solve`.
 
     Returns:
-        The solution, whose certificate states the tolerated deviation with respect to the given
-        problem; and the margin used, with the reason if it is smaller, in words.
+        The solution; a tolerated deviation in its certificate is with respect to the given problem.
+        And the margin used, with the reason if it is smaller, in words.
     """
     margin.check()
     if margin == NO_MARGIN:
@@ -126,8 +126,10 @@ def solve_with_margin(
         plain = solve(problem, method, budget.share(0.5), seed, goals=goals, **options)
         return plain, f"none of {_text(margin)}: {why}"
     assert found.certificate is not None and found.path is not None
-    clearances = (found.certificate.obstacle_clearance, found.certificate.self_clearance)
-    tolerated = deviation_tolerated(problem, found.path.states, clearances)
+    tolerated = found.certificate.tolerated
+    if tolerated is not None:
+        clearances = (found.certificate.obstacle_clearance, found.certificate.self_clearance)
+        tolerated = deviation_tolerated(problem, found.path.states, clearances)
     found = replace(
         found,
         problem=problem,

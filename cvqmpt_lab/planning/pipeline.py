@@ -45,7 +45,7 @@ def solve(
     seed: int,
     *,
     backend: str = "compiled",
-    clearance: bool = True,
+    exact_clearance: bool = False,
     optimize: Budget | None = None,
     use_cache: bool = True,
     near_goals_first: bool = False,
@@ -63,7 +63,7 @@ def solve(
         budget: budget of prediction and search.
         seed: seed of random numbers.
         backend: backend of state checks, "compiled" or "exact".
-        clearance: whether the certificate measures the smallest distance.
+        exact_clearance: whether the certificate measures the smallest distances, see `certify`.
         optimize: budget for shorter paths after the first one; the result is never longer.
         use_cache: False: the planner's time contains all computations from the cloud, also those
             whose results are cached.
@@ -97,7 +97,7 @@ def solve(
     goals = replace(goals, configurations=usable)
     require_fit(method, problem)
     if np.abs(usable - problem.start).max(axis=1).min() <= SAME_STATE_RAD:
-        return _start_is_goal(problem, usable, left_out, goal_seconds, clearance)
+        return _start_is_goal(problem, usable, left_out, goal_seconds, exact_clearance)
     # an external planner reads its goals from the problem
     stages = method.stages(problem.changed(goals=usable) if method.external else problem)
     began = time.perf_counter()
@@ -115,7 +115,7 @@ def solve(
         near = max(near, NEAR_GOAL_COUNT)
     attempts: list[_Attempt] = []
     observed = Observation(cloud, use_cache)
-    for attempt in _attempts(problem, query, stages, observed, tree_search, near, clearance):
+    for attempt in _attempts(problem, query, stages, observed, tree_search, near, exact_clearance):
         attempts.append(attempt)
         if query.deadline.spent() is not None or attempt.certified:
             break
@@ -138,7 +138,7 @@ def solve(
         paths = stages.path_source or partial(restarted, tree_search, proposal.distribution)
         better_query = Query.of(space, problem.start, usable, optimize, rng)
         shortest, improvement = improve(better_query, paths, shorter.path)
-        better = certify(problem, shortest, clearance=clearance)
+        better = certify(problem, shortest, exact_clearance=exact_clearance)
         if better.valid:
             shorter, certificate = replace(shorter, path=shortest), better
         else:
@@ -163,7 +163,7 @@ def _start_is_goal(
     goals: np.ndarray,
     left_out: tuple[str, ...],
     goal_seconds: float,
-    clearance: bool,
+    exact_clearance: bool,
 ) -> Solution:
     """Return the solution of a problem whose start is a goal: an empty path, without a search.
 
@@ -172,12 +172,12 @@ def _start_is_goal(
         goals: (k, n) [rad or m].
         left_out: goals that cannot be used, with the reasons.
         goal_seconds: time of drawing goals [s].
-        clearance: whether the certificate measures the smallest distance.
+        exact_clearance: whether the certificate measures the smallest distances, see `certify`.
     """
     path = JointPath(np.array([problem.start, problem.start]))
     detail = "the start is a goal: the path is empty"
     plan = PlanResult(PlanStatus.SOLVED, path, 0.0, Counters(), 0, "none", detail=detail)
-    certificate = certify(problem, path, clearance=clearance)
+    certificate = certify(problem, path, exact_clearance=exact_clearance)
     return Solution(
         problem,
         plan,
@@ -211,7 +211,7 @@ def _attempts(
     observed: Observation,
     tree_search: Search,
     near: int,
-    clearance: bool,
+    exact_clearance: bool,
 ) -> Iterator[_Attempt]:
     """Yield attempts: one for each goal if goals are searched apart, and more after refusals.
 
@@ -222,7 +222,7 @@ def _attempts(
         observed: sensor data.
         tree_search: the search of the planner.
         near: number of nearest goals that are searched first.
-        clearance: whether certificates measure the smallest distance.
+        exact_clearance: as in `solve`.
     """
     space, plan, ranking = query.space, None, Timings()
     if stages.goals_apart and stages.rank_goals is not None:
@@ -257,7 +257,7 @@ def _attempts(
             if not plan.as_is:
                 shorter = simplify(space, plan.path, query.rng)
             began = time.perf_counter()
-            certificate = certify(problem, shorter.path, clearance=clearance)
+            certificate = certify(problem, shorter.path, exact_clearance=exact_clearance)
             certifying = time.perf_counter() - began
             yield _Attempt(plan, proposal, shorter, certificate, certifying)
             _log.info("refused by the certificate: %s", "; ".join(certificate.reasons))

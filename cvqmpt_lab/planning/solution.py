@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from cvqmpt_lab.base.values import bound_text
 from cvqmpt_lab.certificate.certificate import Certificate
 from cvqmpt_lab.constraints.report import BoundUse, bound_usage
 from cvqmpt_lab.problem import PlanningProblem
@@ -159,16 +160,22 @@ def _distances(certificate: Certificate, small: float = 0.002) -> str:
 
     Below `small` [m], the pair at the smallest distance to obstacles is named.
     """
-    obstacles, own = certificate.obstacle_clearance, certificate.self_clearance
     texts = []
-    if obstacles:
-        text = f"obstacles {1e3 * obstacles.distance_m:.1f} mm"
-        texts.append(f"{text} (small: {obstacles.pair})" if obstacles.distance_m < small else text)
-    if own:
-        texts.append(f"self {1e3 * own.distance_m:.1f} mm")
-    if not texts and certificate.min_clearance_m == np.inf:
-        return "from nothing: no pair to compare"
-    return ", ".join(texts) or f"{1e3 * certificate.min_clearance_m:.1f} mm"
+    for what, clearance in (
+        ("obstacles", certificate.obstacle_clearance),
+        ("self", certificate.self_clearance),
+    ):
+        if clearance is None:
+            continue
+        text = f"{what} {1e3 * clearance.distance_m:.1f} mm"
+        if not clearance.measured:
+            least = bound_text(1e3 * clearance.at_least_m, up=False)
+            proven = np.isfinite(clearance.at_least_m)
+            text = f"{what} at least {least} mm" if proven else f"{what} unknown"
+        elif what == "obstacles" and clearance.distance_m < small:
+            text += f" (small: {clearance.pair})"
+        texts.append(text)
+    return ", ".join(texts) or "from nothing: no pair to compare"
 
 
 def solution_data(

@@ -15,6 +15,7 @@ import pinocchio as pin
 
 from cvqmpt_lab.base.errors import InvalidInputError, few, require_choice
 from cvqmpt_lab.base.values import frozen
+from cvqmpt_lab.robot.joint_frames import JointFrames
 from cvqmpt_lab.robot.kinematics import Kinematics
 
 
@@ -439,6 +440,11 @@ class Robot:
             pin.forwardKinematics(self.model, data, row)
             T[:] = pin.updateFramePlacement(self.model, data, frame_id).homogeneous
         return poses
+
+    @cached_property
+    def joint_frames(self) -> JointFrames:
+        """Forward kinematics of many configurations at once, for the certificate."""
+        return JointFrames(self.model)
 
     def link_of(self, frame: str) -> tuple[int, np.ndarray]:
         """Return the pose row that a body frame is fixed to, and T_link_frame (4, 4)."""

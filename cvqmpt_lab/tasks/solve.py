@@ -248,6 +248,7 @@ class _Run:
                     int(np.random.default_rng([self.seed, self.runs]).integers(2**32)),
                     self.margin,
                     backend=self.backend,
+                    exact_clearance=True,
                     use_cache=False,  # each phase observes another scene
                 )
                 reason = "" if solution.solved else _why(solution)

@@ -123,7 +123,7 @@ def test_every_environment_is_solved(suite, part):
     planner, budget = planner_named("birrt"), Budget(iterations=20_000)
     environments = part(suite_named(suite).problems, 30)
     problems = [suite_named(suite).solvable(e) for e in environments]
-    solutions = [solve(problem, planner, budget, seed=0, clearance=False) for problem in problems]
+    solutions = [solve(problem, planner, budget, seed=0) for problem in problems]
     assert min(len(s.goals) for s in solutions) >= 1
     failed = {s.problem.name: (s.plan.status, s.certificate) for s in solutions if not s.solved}
     assert failed == {}

@@ -27,7 +27,7 @@ def test_problems_are_functions_of_their_index_with_a_valid_start_and_goal(name)
 
 def test_a_problem_is_solved_and_certified():
     problem = suite_named("plane").item(1)
-    assert solve(problem, "roadmap", Budget(iterations=20_000), 0, clearance=False).solved
+    assert solve(problem, "roadmap", Budget(iterations=20_000), 0).solved
 
 
 @pytest.mark.parametrize("name", SUITES)

@@ -17,8 +17,9 @@ def test_plan_prints_a_report_and_writes_the_path(cvqmpt, problem_file, problem,
     out = tmp_path / "path.csv"
     words = f"plan --problem-file {problem_file} --iterations 20000 --save-path {out}"
     lines = cvqmpt(words).splitlines()
-    heads = "problem constraint planner status time counts length certificate tolerates margin path"
+    heads = "problem constraint planner status time counts length certificate margin path"
     assert [line.split()[0] for line in lines] == heads.split()
+    assert "clearance obstacles at least " in lines[7] and ", self at least " in lines[7]
     assert lines[3].split()[:2] == ["status", "solved"] and " valid " in lines[7]
     assert out.read_text().splitlines()[0] == ",".join(problem.robot.joint_names)
     states = np.loadtxt(out, delimiter=",", skiprows=1)
@@ -114,7 +115,9 @@ def test_a_new_task_is_planned_into_a_file_a_phase_and_the_events_between(tmp_pa
 
 def test_json_holds_the_record_that_certify_prints(tmp_path, cvqmpt):
     path, words = tmp_path / "path.csv", "place-task --problem 7 --json"
-    told = cvqmpt(f"plan {words} --planner birrt --iterations 20000 --save-path {path}")
+    told = cvqmpt(
+        f"plan {words} --planner birrt --iterations 20000 --exact-clearance --save-path {path}"
+    )
     planned = json.loads(told)["certificate"]
     assert planned == json.loads(cvqmpt(f"certify {path} {words}")) and planned["valid"]
 

@@ -204,7 +204,7 @@ def test_no_sampled_state_is_closer_than_proven(panda, open_kitchen, seed):
     (checker, rng), judged = a_case(panda, open_kitchen, seed), 0
     for q in panda.random_configurations(rng, 60):
         motion = q + np.cumsum(rng.normal(0.0, 0.05, (4, 7)), axis=0)
-        proof = prove_free(checker, motion, clearance=True)
+        proof = prove_free(checker, motion, exact_clearance=True)
         if proof.colliding is not None:
             continue
         judged += 1

@@ -204,7 +204,7 @@ def row_of(problem, timings, budget=20_000):
         return Proposal(query.uniform, timings)
 
     thinking = Method.simple("birrt", predict=think)
-    solution = solve(problem, thinking, Budget(iterations=budget), seed=0, clearance=False)
+    solution = solve(problem, thinking, Budget(iterations=budget), seed=0)
     return result_row(RUN, solution, goal_seconds=0.25), solution
 
 

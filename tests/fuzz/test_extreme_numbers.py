@@ -138,7 +138,7 @@ def test_plans(make, solved, planners, budget, trials):
     for seed in range(trials):
         planner = planners[seed % len(planners)]
         began = time.process_time()
-        solution = solve(make(np.random.default_rng(seed)), planner, budget, seed, clearance=False)
+        solution = solve(make(np.random.default_rng(seed)), planner, budget, seed)
         assert time.process_time() - began < LONGEST, (seed, planner)
         plan = solution.plan
         if plan.path is None:

@@ -40,7 +40,7 @@ def tuning_problems(trials, size):
 
 
 def simplified(problem, seed=0):
-    return solve(problem, "birrt", ENOUGH, seed, clearance=False).path.states
+    return solve(problem, "birrt", ENOUGH, seed).path.states
 
 
 def near_contact(problem, space, rng, count):
@@ -109,7 +109,7 @@ def test_certificate(trials):
             piece = states[middle - AROUND : middle + AROUND + 1].copy()
             size = 10.0 ** rng.uniform(-4.0, -0.3)
             piece += size * bend[:, None] * rng.standard_normal(problem.robot.dof)
-            judged = certify(problem, JointPath(piece), checker, clearance=False)
+            judged = certify(problem, JointPath(piece), checker)
             kinds = {str(fault.kind) for fault in judged.faults}
             fine = evenly_spaced(piece, FINE)
             excess = [use.excess for use in bound_usage(problem.robot, problem.constraint, fine)]
@@ -130,7 +130,10 @@ def test_clearance(trials):
         checker = problem.collision_checker()
         for k in range(count):
             states = simplified(problem, seed + k)
-            judged, fine = certify(problem, JointPath(states), checker), evenly_spaced(states, FINE)
+            judged, fine = (
+                certify(problem, JointPath(states), checker, True),
+                evenly_spaced(states, FINE),
+            )
             for clearance, nearest in (
                 (judged.obstacle_clearance, checker.nearest_obstacle),
                 (judged.self_clearance, checker.nearest_of_itself),

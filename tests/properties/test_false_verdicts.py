@@ -28,7 +28,7 @@ def test_things_in_two_hands(trials, tmp_path):
         start = rng.uniform(-0.6, 0.6, dof)
         states = np.linspace(start, start + rng.uniform(-0.2, 0.2, dof), 6)
         problem = problem_of(tmp_path, gantry(), states, hands, things)
-        if not certify(problem, JointPath(states), clearance=False).valid:
+        if not certify(problem, JointPath(states)).valid:
             continue
         certified += 1
         source = {"urdf": "arm.urdf", "srdf": None, "end_effectors": hands}
@@ -53,7 +53,7 @@ def test_half_turns(trials, tmp_path):
         bounds[3 + row] = [float(middle[row] - below), float(middle[row] + above)]
         region = {"T0_w": np.eye(4).tolist(), "Tw_e": np.eye(4).tolist(), "Bw": bounds}
         problem = problem_of(tmp_path, pendulum(), ends, ("part_2",), constraint=[region])
-        if not certify(problem, JointPath(ends), clearance=False).valid:
+        if not certify(problem, JointPath(ends)).valid:
             continue
         certified += 1
         outside = np.maximum(bounds[3 + row][0] - x[:, row], x[:, row] - bounds[3 + row][1]).max()
@@ -86,7 +86,7 @@ def test_tolerated(trials, tmp_path):
         region |= {"base": "left", "end_effector": "right"} if two else {}
         given = (gantry(), states, ("left", "right")) if two else (pendulum(), states, ("part_2",))
         problem = problem_of(tmp_path, *given, constraint=[region])
-        said = certify(problem, JointPath(states)).tolerated
+        said = certify(problem, JointPath(states), exact_clearance=True).tolerated
         points, hand = min(said.points_m, 9.0), min(said.hand_rad, 3.0)
         told += points > 0.0
         limits = np.array(bounds, dtype=float)[:, 1]
@@ -142,7 +142,7 @@ def test_jerk(trials, tmp_path):
         problem = problem_of(tmp_path, gantry(), positions, ("left", "right"))
         source = {**problem.robot.source, "acceleration_limits": 10.0, "jerk_limits": limit}
         problem = problem.changed(robot=robot_from_source(source))
-        if dry_run(problem, motion, clearance=False).certificate.valid:
+        if dry_run(problem, motion).certificate.valid:
             certified += 1
             ends = np.abs(accelerations[[0, -1]]).max()
             above |= {number: (most, limit)} if most > 1.011 * limit or ends > 0.0101 else {}

@@ -195,7 +195,7 @@ def test_trees(seed):
 @example(268)  # F rose to its kink at a region's half turn between two states of a shortened motion
 def test_paths(seed):
     problem = problem_around(seed)
-    solution = problem and solve(problem, "birrt", FEW, seed=seed, clearance=False)
+    solution = problem and solve(problem, "birrt", FEW, seed=seed)
     if solution is None or solution.plan.path is None:
         return
     for path in (solution.plan.path, solution.path):

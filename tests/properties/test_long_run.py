@@ -49,7 +49,7 @@ def live(plans):
             memory, objects = resident(), len(gc.get_objects())
         planner, problem = work[k % len(work)]
         began = time.process_time()
-        solve(problem, planner, Budget(iterations=60), seed=k, clearance=False)
+        solve(problem, planner, Budget(iterations=60), seed=k)
         seconds[k] = time.process_time() - began
     gc.collect()
     quarter = (plans - warm) // 4

@@ -74,7 +74,7 @@ def test_obstacles_on_a_path(trials):
             T[:3, 3] = point_inside(problem.robot, q, rng) - T[:3, :3] @ point
             scene = Scene("hit", (SceneObject("hit", shape, T),))
             hit = replace(problem, scene=scene, attachments=(CAN,))
-            faults = certify(hit, JointPath(states[k : k + 2]), clearance=False).faults
+            faults = certify(hit, JointPath(states[k : k + 2])).faults
             seen = {
                 "kernels": not ConstrainedSpace.of(hit).valid(q),
                 "coal": hit.collision_checker().in_collision(q),

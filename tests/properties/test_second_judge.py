@@ -275,7 +275,7 @@ def problem_of(path, given, objects, attachments, states):
 
 
 def certified(problem, states):
-    return certify(problem, JointPath(states), clearance=False).valid
+    return certify(problem, JointPath(states)).valid
 
 
 def planned(given, problem, states, rng):
@@ -286,7 +286,7 @@ def planned(given, problem, states, rng):
     if not goals or not starts:
         return states
     posed = replace(problem, start=starts[0], goals=np.array(goals[:1]))
-    found = solve(posed, "birrt", BUDGET, 0, clearance=False)
+    found = solve(posed, "birrt", BUDGET, 0)
     path = found.path.states if found.solved else states
     first = rng.integers(len(path) - 1)
     return path[first : first + STRETCH]

@@ -181,7 +181,7 @@ def test_robots_of_one_joint_are_planned_for(tmp_path, kind, wall, carried, back
         problem = PlanningProblem("one", robot, scene, start, goal, region, attachments=carried)
         solution = solve(problem, planner_named("birrt"), ENOUGH, seed=0, backend=backend)
         assert solution.certificate.reasons == ()
-        assert 0.0 < solution.certificate.min_clearance_m < 0.5
+        assert 0.0 < solution.certificate.obstacle_clearance.at_least_m < 0.5
         assert time_path(solution.path.states, robot.joint_limits).duration > 0.0
     told = "1 joints and 6 bounded rows"
     refused(told, solve, problem, planner_named("atlas-rrt"), ENOUGH, seed=0)

@@ -122,7 +122,7 @@ def test_goals_of_a_region_of_all_turns_are_turned_as_the_constraint_asks(proble
 @pytest.mark.parametrize("method", ["birrt", "roadmap-cvq"])
 def test_ten_thousand_goals_are_planned_for(problem, method):
     many = replace(problem, goals=np.tile(problem.goals, (10_000 // len(problem.goals), 1)))
-    solution = solve(many, method, Budget(iterations=20_000), seed=0, clearance=False)
+    solution = solve(many, method, Budget(iterations=20_000), seed=0)
     assert solution.solved and len(solution.goals) == 10_000
 
 
@@ -150,7 +150,7 @@ def test_a_hand_that_rises_by_a_centimetre_moves_the_arm_hardly(name):
     ratios, nearest = [], []
     for number in range(5):
         problem, distance = raised(name, number)
-        solution = solve(problem, "roadmap", Budget(iterations=20_000), seed=0, clearance=False)
+        solution = solve(problem, "roadmap", Budget(iterations=20_000), seed=0)
         ratios.append(solution.path.length / distance)
         nearest.append(distance)
         assert solution.solved

@@ -111,19 +111,19 @@ def test_a_priced_budget_ends_where_the_prices_say(problem, name):
     prices = PRICES["published"]
     budget = Budget(cost=0.7)
     problem = problem.changed(goals=problem.goals[-1:])
-    found = solve(problem, name, budget, seed=3, clearance=False).plan
+    found = solve(problem, name, budget, seed=3).plan
     assert found.path is not None or found.status == "cost_limit"
     if found.path is None:
         assert found.counters.cost(prices) >= 0.7
         before = Budget(iterations=found.counters.iterations - 1)
-        assert solve(problem, name, before, 3, clearance=False).plan.counters.cost(prices) < 0.7
+        assert solve(problem, name, before, 3).plan.counters.cost(prices) < 0.7
 
 
 def test_goals_are_tried_one_after_the_other_each_with_its_limit(problem):
     search = replace(published_search(), range=0.3)
     assert search.range == 0.3
-    found = solve(problem, "ompl-uniform", Budget(cost=8.0), seed=1, clearance=False).plan
-    again = solve(problem, "ompl-uniform", Budget(cost=8.0), seed=1, clearance=False).plan
+    found = solve(problem, "ompl-uniform", Budget(cost=8.0), seed=1).plan
+    again = solve(problem, "ompl-uniform", Budget(cost=8.0), seed=1).plan
     assert found.counters == again.counters and found.goals_tried == again.goals_tried
     # two roots for each search
     assert found.roots == 2 * found.goals_tried
@@ -148,7 +148,7 @@ def test_the_published_task_goes_from_one_grasp_on_the_shelf_to_the_counter():
     assert len(ours) > 150
     assert np.median(np.max(published, axis=1)[:, rows]) < 0.05
     assert np.median(np.max(ours, axis=1)[:, rows].max(axis=1)) > 0.09
-    found = solve(first, "ompl-cvq", Budget(cost=100.0), seed=0, clearance=False)
+    found = solve(first, "ompl-cvq", Budget(cost=100.0), seed=0)
     assert found.solved and found.plan.counters.newton_iterations > 0
 
 

@@ -38,7 +38,7 @@ ENOUGH = Budget(iterations=20_000)
 
 def plan(problem, method, budget, seed=0, backend="compiled"):
     """Return the result of the search of a method, which is given by name or object."""
-    return solve(problem, method, budget, seed, backend=backend, clearance=False).plan
+    return solve(problem, method, budget, seed, backend=backend).plan
 
 
 def sampling(distribution):
@@ -60,7 +60,7 @@ def test_every_planner_solves_a_place_problem(problem, name):
     assert result.status is PlanStatus.SOLVED and min(astuple(result.counters)[:4]) > 0
     assert solution.certificate.reasons == () and solution.solved
     # not simplified
-    assert name in LENIENT or certify(problem, result.path, clearance=False).reasons == ()
+    assert name in LENIENT or certify(problem, result.path).reasons == ()
     np.testing.assert_array_equal(result.path.states[0], problem.start)
     assert (problem.goals == result.path.states[-1]).all(axis=1).any()
 
@@ -117,7 +117,7 @@ def test_trees_are_enlarged_when_full(problem):
     result = searched(problem, ConstrainedSpace.of(problem, step=0.002), ENOUGH, step=0.002)
     sizes = [len(tree.nodes) for tree in result.trees]
     assert max(sizes) > 4096 and sum(sizes) == result.vertices
-    assert certify(problem, result.path, clearance=False).valid
+    assert certify(problem, result.path).valid
 
 
 @pytest.mark.parametrize("backend", ["compiled", "exact"])
@@ -141,7 +141,7 @@ def test_any_distribution_is_sampled_and_named_and_its_samples_clipped(problem, 
     assert plan(problem, "birrt", Budget(iterations=1)).sampler == "uniform"
     outside = Uniform(np.full(7, -9.0), np.full(7, 9.0), "outside")
     result = plan(problem, sampling(outside), ENOUGH, seed=1)
-    assert result.sampler == "outside" and certify(problem, result.path, clearance=False).valid
+    assert result.sampler == "outside" and certify(problem, result.path).valid
 
 
 def test_extensions_are_counted_by_their_ends(problem):
@@ -325,7 +325,7 @@ def test_birrt_solves_from_a_doubtful_start_and_says_so(tight):
     assert solution.plan.status is PlanStatus.SOLVED
     assert solution.plan.detail == "exact checks near start"
     assert solution.certificate.reasons == () and solution.solved
-    assert certify(tight, solution.plan.path, clearance=False).valid
+    assert certify(tight, solution.plan.path).valid
     assert space.checked_path(solution.path.states)[0] is not None
 
 

@@ -57,7 +57,7 @@ def roadmap(tuning):
 def plan(tuning, roadmap, seed=0, **options):
     """Return the result of the planner `roadmap` with a given roadmap."""
     method = Method.simple("roadmap", search=Portfolio(roadmap=roadmap, name="roadmap", **options))
-    return solve(tuning, method, ENOUGH, seed, clearance=False).plan
+    return solve(tuning, method, ENOUGH, seed).plan
 
 
 def query_of(problem, roadmap, longest=np.inf, **settings):
@@ -208,7 +208,7 @@ def test_informed_samples_keep_detours_to_one_of_the_goals_short(lengths):
 @pytest.fixture(scope="module")
 def first(problem):
     """Return a shortened path of `birrt`."""
-    return solve(problem, "birrt", ENOUGH, 0, clearance=False).path
+    return solve(problem, "birrt", ENOUGH, 0).path
 
 
 def test_paths_that_cost_more_than_asked_are_not_looked_for(problem, roadmap):

@@ -142,7 +142,7 @@ def test_where_every_edge_is_blocked_birrt_searches_within_the_budget(problem):
     alone = ((ball, replace(problem, scene=Scene("ball", (ball,)))) for ball in balls)
     kept = [ball for ball, one in alone if ConstrainedSpace.of(one).valid_batch(ends).all()]
     blocked = replace(problem, scene=Scene("balls", tuple(kept)))
-    plan = solve(blocked, "roadmap", Budget(seconds=0.5), 0, clearance=False).plan
+    plan = solve(blocked, "roadmap", Budget(seconds=0.5), 0).plan
     assert plan.status is PlanStatus.TIMEOUT and plan.fallback.startswith("birrt around ")
     assert plan.seconds < 1.0
 
@@ -153,7 +153,7 @@ def test_a_new_scene_costs_nothing_and_a_cloud_may_have_a_million_points_or_be_l
     for count in (10**6, 1, 0):
         cloud = SceneObject("cloud", PointCloud(points[: max(count, 1)], 0.005), np.eye(4))
         seen = replace(problem, scene=Scene("cloud", (cloud,) if count else ()))
-        solution = solve(seen, "roadmap", Budget(seconds=5.0), 0, clearance=False)
+        solution = solve(seen, "roadmap", Budget(seconds=5.0), 0)
         assert solution.plan.status is PlanStatus.SOLVED and solution.plan.seconds < 1.0
 
 

@@ -218,10 +218,12 @@ def test_plots_agree_with_the_certificate(problem, solution, rows):
         tilt, low, high = plots[f"{row} against its bounds [rad]"].lines.values()
         outside = np.maximum(outside, np.maximum(low - tilt, tilt - high))
     for q, excess in zip(states, outside, strict=True):
-        found = certify(problem, JointPath(np.stack([q, q])), clearance=False)
+        found = certify(problem, JointPath(np.stack([q, q])))
         assert excess == pytest.approx(found.max_violation_rad, abs=1e-9)
     states = solution.path.states[::20]
     *_, clearance, _ = plots_along(solution.problem, states)
     for q, drawn in zip(states, clearance.curves["clearance"], strict=True):
-        expected = certify(solution.problem, JointPath(np.stack([q, q]))).min_clearance_m
+        expected = certify(
+            solution.problem, JointPath(np.stack([q, q])), exact_clearance=True
+        ).min_clearance_m
         assert drawn == pytest.approx(1e3 * expected)

@@ -21,7 +21,7 @@ from cvqmpt_lab.trajectory.timing import TimingSettings
 def carried():
     """A tray that both hands of a robot carry over a table, planned."""
     problem = suite_named("two-arms").solvable(0)
-    solution = solve(problem, "birrt", Budget(iterations=20000), seed=0, clearance=False)
+    solution = solve(problem, "birrt", Budget(iterations=20000), seed=0)
     assert solution.solved
     return solution
 

@@ -41,7 +41,7 @@ TWO_JOINTS = JointLimits(("first", "second"), np.array([2.0, 1.0]), np.array([4.
 def solutions():
     """Certified solutions of four tuning problems."""
     return [
-        solve(problem, "birrt", Budget(iterations=20_000), seed=0, clearance=False)
+        solve(problem, "birrt", Budget(iterations=20_000), seed=0)
         for problem, *_ in tuning_problems(4, 1)
     ]
 

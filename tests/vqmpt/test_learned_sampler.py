@@ -151,7 +151,7 @@ def test_goals_are_tried_one_after_the_other(problem):
         return stages.predict(query, observation)
 
     apart = Method.simple("apart", predict=predict, goals_apart=True)
-    few = solve(problem, apart, Budget(iterations=len(problem.goals)), seed=0, clearance=False)
+    few = solve(problem, apart, Budget(iterations=len(problem.goals)), seed=0)
     np.testing.assert_array_equal(np.concatenate(asked), problem.goals)
     assert few.plan.status is PlanStatus.ITERATION_LIMIT
     assert few.plan.counters.iterations == len(problem.goals)
@@ -190,7 +190,7 @@ def test_without_codes_samples_are_uniform_and_the_proposal_says_so(problem, que
 
 
 def plan(problem, name, budget=ENOUGH):
-    return solve(problem, name, budget, seed=0, clearance=False).plan
+    return solve(problem, name, budget, seed=0).plan
 
 
 @pytest.mark.parametrize("name", CONTROLS)
