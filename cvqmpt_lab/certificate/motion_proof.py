@@ -82,8 +82,10 @@ def prove_free(
         unproven = None if itself.colliding is not None else longest
         kept = proof.kept[0], itself.kept[1]
         proof = MotionProof(itself.colliding, unproven, proof.checks + itself.checks, kept)
-    compared = checker.links * checker.obstacles, checker.pairs
-    kept = tuple(k if pairs else np.inf for k, pairs in zip(proof.kept, compared, strict=True))
+    kept = (
+        proof.kept[0] if checker.links * checker.obstacles else np.inf,
+        proof.kept[1] if checker.pairs else np.inf,
+    )
     proof = replace(proof, kept=kept)
     if to_obstacles is None or to_itself is None:
         return proof

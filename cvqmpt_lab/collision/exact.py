@@ -142,8 +142,8 @@ class CollisionChecker:
         q: np.ndarray,
         hulls: np.ndarray,
         known: np.ndarray,
-        least: np.ndarray,
-        doubtful: np.ndarray,
+        least: np.ndarray | float = 0.0,
+        doubtful: np.ndarray | bool = False,
     ) -> Cleared:
         """Number of leading links proven to touch no obstacle anywhere in hulls of configurations.
 
@@ -156,12 +156,15 @@ class CollisionChecker:
             q: (k, n), a configuration in each hull.
             hulls: (k, c, n), corners of convex hulls of configurations.
             known: (k,) int, numbers of leading links known to be free: they are not checked.
-            least: (k,), distance to prove [m], if it is larger than the checker's margin.
-            doubtful: (k,) bool, whether q is checked for collision if a link is not proven.
+            least: (k,) or one for all, distance to prove [m], if it is larger than the checker's
+                margin.
+            doubtful: (k,) bool or one for all, whether q is checked for collision if a link is not
+                proven.
         """
         moved = self._sweep.in_world(q, hulls, known)
-        needed = _needed(moved, np.maximum(self.outer, least)[:, None])
+        needed = _needed(moved, np.maximum(self.outer, np.broadcast_to(least, len(q)))[:, None])
         free, hits = known.copy(), np.zeros(len(q), dtype=bool)
+        doubtful = np.broadcast_to(doubtful, len(q))
         for k in np.flatnonzero(free < self.links):
             self._pose(q[k])
             for link in range(free[k], self.links):
@@ -177,8 +180,8 @@ class CollisionChecker:
         q: np.ndarray,
         hulls: np.ndarray,
         known: np.ndarray,
-        least: np.ndarray,
-        doubtful: np.ndarray,
+        least: np.ndarray | float = 0.0,
+        doubtful: np.ndarray | bool = False,
     ) -> Cleared:
         """Number of leading pairs of the robot's own pieces proven to be free.
 
@@ -192,9 +195,10 @@ class CollisionChecker:
         free, hits = np.full(len(q), self.pairs), np.zeros(len(q), dtype=bool)
         if self.pairs == 0:
             return Cleared(free, np.zeros(len(q)), hits)
+        doubtful = np.broadcast_to(doubtful, len(q))
         moved = self._sweep.between(q, hulls)
         moved[np.arange(self.pairs) < known[:, None]] = 0.0
-        needed = _needed(moved, np.maximum(self.margin, least)[:, None])
+        needed = _needed(moved, np.maximum(self.margin, np.broadcast_to(least, len(q)))[:, None])
         near = self._near_pairs(q, needed) & (np.arange(self.pairs) >= known[:, None])
         for k in np.flatnonzero(near.any(axis=1)):
             self._place(q[k])

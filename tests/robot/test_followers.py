@@ -303,7 +303,9 @@ def test_random_followers_move_as_joints_of_their_own(seed, tmp_path):
         rows = slice(0, 6 if np.linalg.norm(x[:, 3:6], axis=1).max() < 3.0 else 3)
         ends = np.abs(x[[0, -1], rows]).max(axis=0)
         assert (np.abs(x[:, rows]) - ends).max() <= most[0] + 1e-9
-        clear, _ = exact.clear_of_obstacles(a[None], states[None, [0, -1]], np.zeros(1, dtype=int))
+        clear = exact.clear_of_obstacles(
+            a[None], states[None, [0, -1]], np.zeros(1, dtype=int)
+        ).free
         if clear[0] == exact.links:
             pairs = [truth.colliding_pair(row) for row in own(states)]
             assert not any(pair and pair.second == "wall" for pair in pairs)
