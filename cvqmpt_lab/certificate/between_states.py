@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import pinocchio as pin
 
 from cvqmpt_lab.base.values import frozen
 from cvqmpt_lab.constraints.bounds_between import ROTATION_RATE, bound_between
@@ -136,10 +135,7 @@ def evenly_spaced(states: np.ndarray, spacing: float) -> np.ndarray:
 
 def _displacements(robot: Robot, region: TaskSpaceRegion, states: np.ndarray) -> np.ndarray:
     """Return displacements (m, 7) as `report.displacements`, of all states (m, n) at once."""
-    name = region.end_effector or robot.end_effector
-    frame = robot.model.frames[robot.model.getFrameId(name, pin.FrameType.BODY)]
-    links = robot.joint_frames.poses(robot.kinematics.joint_values(states))
-    poses = links[frame.parentJoint] @ frame.placement.homogeneous
+    poses = robot.poses_at_once(states, region.end_effector)
     return displaced(region, poses, region.reference_poses(robot, states))
 
 
