@@ -217,6 +217,7 @@ def ik(args: argparse.Namespace) -> int:
         args.count,
         max_poses=max(100, 10 * args.count),
         within=problem.constraint,
+        distinct=0.01,  # Newton's method ends much closer to a posture [rad or m]
     )
     configurations = found.configurations.tolist()
     if args.json:
@@ -225,7 +226,8 @@ def ik(args: argparse.Namespace) -> int:
         )
     else:
         print("\n".join(json.dumps(q) for q in configurations))
-        print(f"{len(configurations)} of {args.count} configurations; {found.outcome}")
+        postures = f"{len(configurations)} posture{'s' * (len(configurations) != 1)}"
+        print(f"{postures} found, {args.count} asked; {found.outcome}")
         if not configurations:
             print(replace(problem, goal_region=region).why_no_goal())
     return 0 if configurations else 1
@@ -261,7 +263,7 @@ IK: Options = {
         "--region": option("region as json, or goal_region or start_region of the file"),
     },
     "--count": option(
-        "largest number of configurations (1)", type=positive_int, default=1, metavar="N"
+        "largest number of different postures, whole turns aside (1)", type=positive_int, default=1, metavar="N"
     ),
     **SEED,
     "--json": option("print one json object", **FLAG),

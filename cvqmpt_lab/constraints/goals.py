@@ -192,6 +192,7 @@ def sample_region(
     near: np.ndarray | None = None,
     project: bool = False,
     tolerance: float = POSE_TOLERANCE,
+    distinct: float | None = None,
 ) -> GoalSample:
     """Draw collision-free configurations with the end effector in a region, one per pose.
 
@@ -208,6 +209,8 @@ def sample_region(
         project: whether to project onto the region instead of reaching poses drawn in it; always
             done if the hand `has_fewer_than_6_dof`.
         tolerance: largest norm of F of the pose and the regions [m, rad].
+        distinct: least distance of two configurations in a joint, whole turns aside [rad or m];
+            None: the same one may be found again.
     """
     anywhere = project or has_fewer_than_6_dof(robot, region)
     found: list[np.ndarray] = []
@@ -225,16 +228,26 @@ def sample_region(
             )
         ):
             tried += 1
-            free = next((q for q in candidates if not checker.in_collision(q)), None)
+            new = candidates if distinct is None else _others(robot, candidates, found, distinct)
+            free = next((q for q in new if not checker.in_collision(q)), None)
             if free is not None:
                 found.append(free)
             else:
                 unreachable += len(candidates) == 0
-                colliding += len(candidates) > 0
+                colliding += len(new) > 0
             if len(found) == count:
                 break
     configurations = np.array(found).reshape(-1, robot.dof)
     return GoalSample(configurations, tried, unreachable, colliding)
+
+
+def _others(
+    robot: Robot, candidates: np.ndarray, found: Sequence[np.ndarray], distinct: float
+) -> np.ndarray:
+    """Return those of candidates (k, n) that differ from all found by `distinct` in a joint."""
+    apart = candidates[:, None] - np.array(found).reshape(-1, robot.dof)
+    apart = np.where(robot.turns_freely, nearest_turn(apart, 0.0), apart)
+    return candidates[(np.abs(apart).max(axis=-1, initial=0.0) >= distinct).all(axis=-1)]
 
 
 def find_in_region(*args: Any, **options: Any) -> GoalSample:

@@ -237,7 +237,7 @@ def refuse_far_poses(poses: dict[str, np.ndarray], farthest: float = 100.0) -> N
 def _refuse_above(most: float, length: float, what: str, how: str) -> None:
     if length > most:
         raise InvalidInputError(
-            f"{what} {length:.4g} m {how}, more than {most:g}: not in metres? Give metres"
+            f"{what} {length:.4g} m {how}, more than {most:g}: not in metres? Give metres; it may be in mm or cm"
         )
 
 
@@ -247,6 +247,7 @@ def check_extent(
     where: str = "scene",
     farthest: float = 100.0,
     largest: float = 250.0,
+    thickest: float = 25.0,
 ) -> None:
     """Refuse obstacles that are too large or too far away; warn if none is in the arm's reach.
 
@@ -256,6 +257,7 @@ def check_extent(
         where: place of the scene, for errors.
         farthest: largest distance of an obstacle from the origin [m].
         largest: largest length of an obstacle [m]; floors of 200 m occur.
+        thickest: largest length of an obstacle in its thinnest direction [m].
     """
     gaps = {item.name: distance(item) for item in scene.obstacles}
     for k, item in enumerate(scene.objects):
@@ -266,6 +268,7 @@ def check_extent(
             lengths = tuple(np.ravel([*vars(item.shape).values()]).tolist())
         name = f"{at(where, f'objects[{k}], {item.name!r},')} is"
         _refuse_above(largest, max(lengths, default=0.0), name, "large")
+        _refuse_above(thickest, min(lengths, default=0.0), name, "thick")
         _refuse_above(farthest, gaps[item.name], name, "away")
     nearest = min(gaps, key=lambda name: gaps[name], default="")
     if gaps and gaps[nearest] > reach:

@@ -82,6 +82,16 @@ def test_configurations_reach_the_pose_free_of_collision_on_the_manifold(mine, c
         assert not problem.manifold.residual(q).any()
 
 
+def test_postures_of_a_pose_differ_by_more_than_whole_turns(tmp_path, mine, cvqmpt):
+    other = tmp_path / "ur5.json"
+    other.write_text(json.dumps({**json.loads(mine.read_text()), "robot": {"name": "ur5"}}))
+    told = cvqmpt("ik --pose '0.3 0.3 0.5 3.14 0 0' --count 20 --problem-file", other)
+    found = np.array([json.loads(line) for line in told.splitlines() if line.startswith("[")])
+    apart = np.abs(np.angle(np.exp(1j * (found[:, None] - found)))).max(axis=-1)
+    assert (apart + np.eye(len(found)) > 0.01).all() and 2 <= len(found) <= 8
+    assert f"{len(found)} postures found, 20 asked" in told
+
+
 def test_a_pose_out_of_reach_has_no_configuration(mine, cvqmpt):
     told = cvqmpt("ik --pose '5 0 0 0 0 0' --problem-file", mine, code=1)
-    assert "0 of 1 configurations; of 100 poses, 100 without inverse kinematics" in told
+    assert "0 postures found, 1 asked; of 100 poses, 100 without inverse kinematics" in told
