@@ -263,7 +263,10 @@ IK: Options = {
         "--region": option("region as json, or goal_region or start_region of the file"),
     },
     "--count": option(
-        "largest number of different postures, whole turns aside (1)", type=positive_int, default=1, metavar="N"
+        "largest number of postures, which differ by more than whole turns (1)",
+        type=positive_int,
+        default=1,
+        metavar="N",
     ),
     **SEED,
     "--json": option("print one json object", **FLAG),

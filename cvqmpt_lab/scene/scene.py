@@ -237,7 +237,8 @@ def refuse_far_poses(poses: dict[str, np.ndarray], farthest: float = 100.0) -> N
 def _refuse_above(most: float, length: float, what: str, how: str) -> None:
     if length > most:
         raise InvalidInputError(
-            f"{what} {length:.4g} m {how}, more than {most:g}: not in metres? Give metres; it may be in mm or cm"
+            f"{what} {length:.4g} m {how}, more than {most:g}: not in metres? Give metres; it may "
+            "be in mm or cm"
         )
 
 
