@@ -5,6 +5,7 @@ links against obstacles are coal's broad phases, one a link and one for the worl
 obstacles need no pairs.
 """
 
+from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -165,14 +166,17 @@ class CollisionChecker:
         needed = _needed(moved, np.maximum(self.outer, np.broadcast_to(least, len(q)))[:, None])
         free, hits = known.copy(), np.zeros(len(q), dtype=bool)
         doubtful = np.broadcast_to(doubtful, len(q))
-        for k in np.flatnonzero(free < self.links):
+        for k in np.flatnonzero(free < self.links).tolist():
             self._pose(q[k])
-            for link in range(free[k], self.links):
-                gap = needed[k, link]
-                if gap > BROAD_PHASE_INFLATIONS_M[-1] or self._meets_obstacle(link, gap):
+            gaps, link = needed[k].tolist(), int(free[k])
+            while link < self.links:
+                if gaps[link] > BROAD_PHASE_INFLATIONS_M[-1] or self._meets_obstacle(
+                    link, gaps[link]
+                ):
                     hits[k] = doubtful[k] and self._near_obstacles(self.outer, link)
                     break
-                free[k] += 1
+                link += 1
+            free[k] = link
         return Cleared(free, moved.max(axis=1, initial=0.0), hits)
 
     def clear_of_itself(
@@ -414,7 +418,8 @@ class CollisionChecker:
         # few inflations serve all margins: a broad phase of 10 000 obstacles is slow to make
         inflation = self.outer
         if margin > inflation:
-            inflation = next((size for size in BROAD_PHASE_INFLATIONS_M if size >= margin), margin)
+            k = bisect_left(BROAD_PHASE_INFLATIONS_M, margin)
+            inflation = (*BROAD_PHASE_INFLATIONS_M, margin)[k]
         world = self._worlds.get(inflation) or self._world(inflation)
         self._links[link][1].collide(world[0], self._callback)
         return self._result.isCollision()

@@ -21,30 +21,31 @@ class JointFrames:
         self._parents = [int(parent) for parent in model.parents]
         # Pose in the parent's frame at value v: a + sin(v) b + (1 - cos(v)) c of a hinge, with
         # Rodrigues' formula; a + v b of a slider
-        self._terms = np.zeros((3, model.nv, 1, 4, 4))
+        terms = np.zeros((model.nv, 3, 4, 4))
         for j in range(model.nv):
             local = pin.getJointJacobian(model, data, j + 1, pin.ReferenceFrame.LOCAL)
             motion = local.reshape(6, -1)[:, j]  # (6,) of a single joint
             self.hinges[j] = np.linalg.norm(motion[3:]) > 0.5
             self._axes[j] = axis = motion[3:] if self.hinges[j] else motion[:3]
             placed = model.jointPlacements[j + 1]
-            self._terms[0, j] = placed.homogeneous
+            terms[j, 0] = placed.homogeneous
             if self.hinges[j]:
-                self._terms[1, j, :, :3, :3] = placed.rotation @ pin.skew(axis)
-                self._terms[2, j, :, :3, :3] = placed.rotation @ pin.skew(axis) @ pin.skew(axis)
+                terms[j, 1, :3, :3] = placed.rotation @ pin.skew(axis)
+                terms[j, 2, :3, :3] = placed.rotation @ pin.skew(axis) @ pin.skew(axis)
             else:
-                self._terms[1, j, :, :3, 3] = placed.rotation @ axis
+                terms[j, 1, :3, 3] = placed.rotation @ axis
+        self._terms = terms.reshape(-1, 3, 16)
 
     def poses(self, values: np.ndarray) -> np.ndarray:
         """Return T_world_frame (joints + 1, k, 4, 4) of all frames [m].
 
         values: (k, joints), of all joints, those that mimic others included [rad or m].
         """
-        values = values.T[:, :, None, None]
-        first = np.where(self.hinges[:, None, None, None], np.sin(values), values)
-        second = 1.0 - np.cos(values)  # times 0 for sliders
-        local = self._terms[0] + first * self._terms[1] + second * self._terms[2]
-        poses = np.empty((len(self._parents), *local.shape[1:]))
+        weights = np.ones((*values.T.shape, 3))
+        weights[..., 1] = np.where(self.hinges, np.sin(values), values).T
+        weights[..., 2] -= np.cos(values).T  # times 0 for sliders
+        local = (weights @ self._terms).reshape(*weights.shape[:2], 4, 4)
+        poses = np.empty((len(self._parents), len(values), 4, 4))
         poses[0] = np.eye(4)
         for j, up in enumerate(self._parents[1:]):
             np.matmul(poses[up], local[j], out=poses[j + 1])

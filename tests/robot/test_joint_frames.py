@@ -37,3 +37,11 @@ def test_poses_and_axes_are_those_of_pinocchio(joints):
         turning = np.where(frames.hinges, columns[3:], columns[:3])
         np.testing.assert_allclose(axes[:, k].T, turning, atol=1e-12)
     assert frames.poses(values[:0]).shape == (joints + 1, 0, 4, 4)
+
+
+def test_poses_of_a_frame_are_those_of_pinocchio(problem):
+    robot = problem.robot
+    q = robot.random_configurations(np.random.default_rng(1), 20)
+    np.testing.assert_allclose(robot.poses_at_once(q), robot.poses(q), atol=1e-12)
+    first = robot.frame_names[1]
+    np.testing.assert_allclose(robot.poses_at_once(q, first), robot.poses(q, first), atol=1e-12)
