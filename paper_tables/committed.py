@@ -138,7 +138,7 @@ def committed_pages(found: Mapping[str, Evidence]) -> dict[Path, str]:
         quoted = Quoted(found)
         texts[DOCS / "results.md"] = pages.rendered("results.md.j2", quoted=quoted)
         parts = {
-            "verdicts": pages.headline_text(claims),
+            "answer": pages.rendered("answer.md.j2", quoted=quoted),
             "planners": pages.rendered("readme.md.j2", quoted=quoted),
         }
         text = read_text(README)

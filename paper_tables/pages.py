@@ -114,17 +114,6 @@ def beside_lines(own: Sequence[JudgedClaim], committed: Sequence[JudgedClaim]) -
     return lines
 
 
-def headline_lines(claims: Iterable[JudgedClaim]) -> Lines:
-    """Return the claims of the README: the paper's words, the measurement and the reason."""
-    lines = [["claim", "paper", "measured", "verdict", "why"]]
-    for item in claims:
-        if item.claim.why and (shown := item.deciding) is not None:
-            measured = f"{shown.interval_text(shown.gain)} against {shown.against}"
-            word = str(item.word)
-            lines.append([item.claim.title, item.claim.paper, measured, word, item.claim.why])
-    return lines
-
-
 def opening(claims: Sequence[JudgedClaim]) -> str:
     """Return one paragraph with the number of claims per verdict, and the main reason."""
     count = Counter(item.word for item in claims)
@@ -132,11 +121,6 @@ def opening(claims: Sequence[JudgedClaim]) -> str:
     words += [word for word in (Word.UNTESTABLE, Word.NO_ROWS) if count[word]]
     counted = ", ".join(f"{count[word]} {word.rpartition(', ')[2]}" for word in words)
     return f"**Replication of method and claims with own weights: {counted}.** {BECAUSE}"
-
-
-def headline_text(claims: Sequence[JudgedClaim]) -> str:
-    """Return the opening and the table of `headline_lines`."""
-    return f"{opening(claims)}\n\n{markdown_table(headline_lines(claims))}"
 
 
 def decomposition_lines(evidence: Evidence) -> Lines:

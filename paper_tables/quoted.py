@@ -15,6 +15,8 @@ from cvqmpt_lab.paper_tables.measures import (
     paired,
     problem_median,
 )
+from cvqmpt_lab.paper_tables.ompl_table import PAPER_CUTOFF_S, means_ratio
+from cvqmpt_lab.paper_tables.table_engine import suite_runs
 from cvqmpt_lab.paper_tables.writers import estimate, number
 from cvqmpt_lab.results.row import split_problem
 
@@ -54,6 +56,12 @@ class Quoted:
         """
         own, other = self.rows(name, planner, kind), self.rows(name, over, kind)
         return estimate(mean_ratio(paired(own, other, VALUES[value])))
+
+    def cost_ratio(self, name: str, planner: str, over: str) -> str:
+        """Return the ratio of mean costs in the paper's seconds, see `ompl_table`."""
+        runs = suite_runs(self.results[name].rows, ())
+        measure = means_ratio(over, VALUES["search_cost"], PAPER_CUTOFF_S)
+        return estimate(measure(self.rows(name, planner), runs))
 
     def contrast(self, name: str, title: str, column: str = "work") -> str:
         """A cell of the contrasts of a factorial, by its title there."""

@@ -113,7 +113,7 @@ def test_the_committed_page_and_the_readme_are_what_the_command_writes_from_the_
 
 
 def test_a_readme_without_marks_is_refused():
-    refused("add both where", committed.with_part, "a README without marks", "verdicts", "")
+    refused("add both where", committed.with_part, "a README without marks", "answer", "")
 
 
 def test_a_claim_is_judged_against_all_planners_named(tmp_path):
