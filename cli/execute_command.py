@@ -109,6 +109,7 @@ def _lines(executions: Sequence[Execution]) -> list[str]:
 def _task(args: argparse.Namespace, task: Task, times: tuple[float, ...]) -> list[Execution]:
     """Plan and execute a task."""
     refuse_given(args, ["motion"], "goes with a problem; a task is always planned, leave it out")
+    refuse_given(args, ["hold"], "goes with a problem; in a task fingers hold by friction")
     margin = Margin(args.margin, args.margin_angle).check()
     timing = TimingSettings(speed=args.speed)
     solution = solve_task(task, "birrt", budget(args), args.seed, timing, margin=margin)
@@ -176,10 +177,8 @@ OPTIONS: Options = {
         default="computed-torque",
     ),
     "--hold": option(
-        "how the hand holds the load of a problem: weld or friction (weld); in a task always "
-        "friction",
+        "how the hand holds the load of a problem: weld or friction (weld); a task takes friction",
         type=one_of("--hold", HOLDS),
-        default="weld",
     ),
     "--speed": option(
         "fraction of the joint limits that a planned motion uses (1)",

@@ -12,7 +12,7 @@ from cvqmpt_lab.base.poses import rigid
 from cvqmpt_lab.base.values import FULL_TURN_RAD
 from cvqmpt_lab.constraints.task_space_region import Axis
 from cvqmpt_lab.robot.hulls import coal_hull
-from cvqmpt_lab.robot.load import robot_from_source
+from cvqmpt_lab.robot.load import opening_sign, robot_from_source, with_gripper
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.robot.source import PANDA_FINGER_OPENING_M, read_source
 from cvqmpt_lab.robot.urdf import Joint, read_urdf
@@ -71,8 +71,19 @@ def _fingers(source: Mapping[str, Any]) -> list[Joint]:
         if joint.name != last and last in [above.name for above in urdf.chain(joint.child)]
     ]
     free = [joint for joint in behind if joint.immovable_reason is None]
+    sliders = [joint.name for joint in free if joint.kind == "prismatic"]
+    if len(sliders) > 1:
+        moving = with_gripper(robot)
+        signs = {f: opening_sign(moving, f, [o for o in sliders if o != f]) for f in sliders}
+        # the limits of a slider that opens against the first one change places
+        free = [
+            replace(joint, lower=joint.upper, upper=joint.lower)
+            if signs.get(joint.name, signs[sliders[0]]) != signs[sliders[0]]
+            else joint
+            for joint in free
+        ]
     # the hand of TIAGo has tendons that turn by more than a joint can be held at
-    return free if all(max(-f.lower, f.upper) <= FULL_TURN_RAD for f in free) else []
+    return free if all(max(abs(f.lower), abs(f.upper)) <= FULL_TURN_RAD for f in free) else []
 
 
 def _set(source: Mapping[str, Any], fingers: Sequence[Joint], share: float) -> dict[str, Any]:

@@ -17,7 +17,7 @@ import numpy as np
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.collision.carried import carried_pairs, pairs_of_carried
 from cvqmpt_lab.robot.dynamics import link_inertias
-from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.robot.robot import Follower, Robot
 from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, Shape, Sphere
 
@@ -49,8 +49,10 @@ class Physics(NamedTuple):
     """Properties of a simulation beyond the geometry."""
 
     contact_time: float  # time constant of contacts, MuJoCo's solref [s]
-    # sliding joints of the gripper, each with the joint that it follows, or ""
-    fingers: Mapping[str, str] = {}
+    # sliding joints of the gripper, each with the joint that it follows, or None
+    fingers: Mapping[str, Follower | None] = {}
+    # pairs of the robot's bodies that may touch, besides those of `unchecked_pairs`
+    unchecked: tuple[tuple[str, str], ...] = ()
     doors: tuple[str, ...] = ()  # articulations of the scene that can move
     welded: tuple[Attachment, ...] = ()  # loads that are fixed to the hand
     free: SceneObject | None = None  # load that moves freely; it has a mass
@@ -149,18 +151,13 @@ def mjcf_of(robot: Robot, scene: Scene, physics: Physics | None = None) -> str:
     contact = SubElement(root, "contact")
     hidden = [f"piece_{k}" for k, piece in enumerate(robot.links) if piece.self_only]
     standing = [f"obstacle_{k}" for k in range(len(scene.obstacles))]
-    for first, second in (*unchecked_pairs(robot), *product(hidden, standing)):
+    more = () if physics is None else physics.unchecked
+    pairs = dict.fromkeys((*unchecked_pairs(robot), *more, *product(hidden, standing)))
+    for first, second in pairs:
         SubElement(contact, "exclude", body1=first, body2=second)
     equality = SubElement(root, "equality") if followers else root
-    for name, follower in followers.items():
-        SubElement(
-            equality,
-            "joint",
-            joint1=name,
-            joint2=follower.leader,
-            polycoef=numbers_text(np.array([follower.offset, follower.multiplier, 0.0, 0.0, 0.0])),
-            solref="0.004 1",
-        )
+    for follower in followers.values():
+        _couple(equality, follower)
     if physics is not None:
         for k, item in enumerate(physics.welded):
             row, T_link_hand = robot.hand(item.end_effector)
@@ -255,16 +252,21 @@ def _add_motors(root: Element, robot: Robot, physics: Physics) -> None:
     motors, equality = SubElement(root, "actuator"), SubElement(root, "equality")
     for name in robot.joint_names:
         SubElement(motors, "motor", name=name, joint=name)
-    for name, leader in physics.fingers.items():
-        if leader:
-            SubElement(
-                equality,
-                "joint",
-                joint1=name,
-                joint2=leader,
-                polycoef="0 1 0 0 0",
-                solref="0.004 1",
-            )
+    for follower in physics.fingers.values():
+        if follower is not None:
+            _couple(equality, follower)
+
+
+def _couple(equality: Element, follower: Follower) -> None:
+    """Couple a joint to the joint that it follows."""
+    SubElement(
+        equality,
+        "joint",
+        joint1=follower.name,
+        joint2=follower.leader,
+        polycoef=numbers_text(np.array([follower.offset, follower.multiplier, 0.0, 0.0, 0.0])),
+        solref="0.004 1",
+    )
 
 
 def numbers_text(values: np.ndarray) -> str:

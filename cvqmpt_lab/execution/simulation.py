@@ -5,19 +5,24 @@ a joint applies its full effort limit. Every controller keeps the arm's effort l
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from cvqmpt_lab.base.errors import InvalidInputError, require_choice, require_installed
 from cvqmpt_lab.base.poses import rigid
-from cvqmpt_lab.execution.mjcf import ARMATURE, DAMPING, HAND_SITE, LOAD_BODY, Physics, mjcf_of
+from cvqmpt_lab.execution.mjcf import (
+    ARMATURE,
+    DAMPING,
+    HAND_SITE,
+    LOAD_BODY,
+    Physics,
+    mjcf_of,
+    unchecked_pairs,
+)
 from cvqmpt_lab.robot.dynamics import Dynamics, Load, without_effort_limit
-from cvqmpt_lab.robot.load import with_gripper
-from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.robot.source import read_source
-from cvqmpt_lab.robot.urdf import read_urdf
+from cvqmpt_lab.robot.load import gripper_joints, opening_sign, with_gripper
+from cvqmpt_lab.robot.robot import Follower, Robot
 from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.trajectory.trajectory import JointState, Trajectory
 
@@ -138,7 +143,8 @@ class Simulation:
         robot = arm
         if gripper:
             robot = with_gripper(arm)
-            physics = physics._replace(fingers=_fingers(arm, robot))
+            fixed_pairs = tuple(unchecked_pairs(arm))  # pieces of both have the same order
+            physics = physics._replace(fingers=_fingers(arm, robot), unchecked=fixed_pairs)
         self.physics = physics
         text = mjcf_of(robot, scene, physics)
         self.model = model = self.mujoco.MjModel.from_xml_string(text)
@@ -148,6 +154,8 @@ class Simulation:
         self._v = np.array([joint.dofadr[0] for joint in joints])
         self._motors = np.array([model.actuator(name).id for name in arm.joint_names])
         self._fingers = np.array([model.actuator(name).id for name in physics.fingers], dtype=int)
+        others = {name: [o for o in physics.fingers if o != name] for name in physics.fingers}
+        self._opens = np.array([opening_sign(robot, *finger) for finger in others.items()])
         # numbers of geoms: a name may be that of a piece, an obstacle and the load
         pieces = [model.geom(f"piece_{k}_geom").id for k in range(len(robot.links))]
         fixed = [model.geom(f"obstacle_{k}_geom").id for k in range(len(scene.obstacles))]
@@ -218,7 +226,7 @@ class Simulation:
         tau = self.controller.efforts(wanted, data.qpos[self._q], data.qvel[self._v])
         self.saturated += bool((np.abs(tau) >= self.controller.limits).any())
         data.ctrl[self._motors] = tau
-        data.ctrl[self._fingers] = self.force
+        data.ctrl[self._fingers] = self.force * self._opens
         self.mujoco.mj_step(self.model, data, nstep=round(CONTROL_PERIOD_S / self.physics.step))
         self.errors.append(float(np.abs(data.qpos[self._q] - wanted.positions).max()))
         self._lifted = self._lifted or not self._is_at(0)
@@ -257,16 +265,21 @@ class Simulation:
             self.touched[pair] = Contact(*pair, depth, self.data.time)
 
 
-def _fingers(arm: Robot, robot: Robot) -> Mapping[str, str]:
-    """Joints of the gripper, each with the joint that it follows, or ""; refuses hinges."""
-    names = [name for name in robot.joint_names if name not in arm.joint_names]
-    slides = robot.kinematics.prismatic
-    turning = [name for name in names if not slides[robot.moving_joints.index(name)]]
-    if turning or not names:
-        what = f"turns {', '.join(turning)}" if turning else "has no fingers that its source locks"
+def _fingers(arm: Robot, robot: Robot) -> Mapping[str, Follower | None]:
+    """Return the gripper's joints, each with what it follows, or None; refuses hinges."""
+    joints = gripper_joints(arm)
+    turning = [joint.name for joint in joints if joint.kind != "prismatic"]
+    if turning or not joints:
+        what = f"turns {', '.join(turning)}" if turning else "has no fingers"
         raise InvalidInputError(
-            f"the gripper of {arm.name} {what}: only fingers on sliders are simulated; weld the "
-            "load instead, --hold weld"
+            f"the gripper of {arm.name} {what}: only fingers on sliders behind the arm's last "
+            "joint are simulated; a problem's load can be welded instead, --hold weld, and a task "
+            "needs such fingers"
         )
-    joints = read_urdf(Path(read_source(arm.source).urdf)).joints
-    return {name: joints[name].mimics or "" for name in names}
+    names = [joint.name for joint in joints]
+    return {
+        joint.name: Follower(joint.name, joint.mimics, joint.multiplier, joint.offset)
+        if joint.mimics in names
+        else None
+        for joint in sorted(joints, key=lambda joint: robot.joint_names.index(joint.name))
+    }

@@ -31,6 +31,7 @@ from cvqmpt_lab.robot.hulls import (
     link_geometry,
     srdf_root,
 )
+from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.mechanism import ArticulatedObject, with_articulated_object
 from cvqmpt_lab.robot.robot import (
     LIMIT_UNITS,
@@ -51,7 +52,7 @@ from cvqmpt_lab.robot.source import (
     read_source,
 )
 from cvqmpt_lab.robot.urdf import (
-    LOCKED,
+    Joint,
     Prepared,
     Urdf,
     check_turns,
@@ -178,8 +179,49 @@ copyreg.pickle(Robot, lambda robot: (unpickled, (robot.source, robot.files)))
 
 
 def with_gripper(robot: Robot) -> Robot:
-    """Return the arm with a moving gripper: joints locked by its source move, without limits."""
-    return _built(robot.source, [j.name for j in robot.held_joints if j.reason == LOCKED])
+    """Return the arm with a moving gripper: held joints behind the arm's last joint move."""
+    return _built(robot.source, [joint.name for joint in gripper_joints(robot)])
+
+
+def gripper_joints(robot: Robot) -> list[Joint]:
+    """Return the joints of the URDF behind the last joint that moves the end effector."""
+    urdf = read_urdf(Path(read_source(robot.source).urdf))
+    above = [joint.name for joint in urdf.chain(robot.end_effector)]
+    last = [name for name in above if name in robot.moving_joints][-1]
+    return [
+        joint
+        for joint in urdf.joints.values()
+        if joint.kind in ("revolute", "prismatic", "continuous")
+        and joint.name not in robot.moving_joints
+        and last in [higher.name for higher in urdf.chain(joint.child)]
+    ]
+
+
+def opening_sign(robot: Robot, finger: str, others: Sequence[str]) -> float:
+    """Return 1.0 if a finger opens towards larger values of its slider, else -1.0.
+
+    It opens away from the other fingers; limits decide where it has none, or none is beside it.
+
+    Args:
+        robot: arm whose fingers move, see `with_gripper`.
+        finger: name of the slider.
+        others: names of the other fingers' joints.
+    """
+    k = robot.joint_names.index(finger)
+    middle = np.clip(np.zeros(robot.dof), robot.lower, robot.upper)
+    rotations, translations = link_poses(robot.kinematics, middle[None])
+    rows = {name: robot.moving_joints.index(name) + 1 for name in (finger, *others)}
+    centres = {name: translations[0, row] for name, row in rows.items()}
+    for name, row in rows.items():
+        pieces = [piece.vertices_in_link.mean(axis=0) for piece in robot.links if piece.link == row]
+        if pieces:
+            centres[name] = centres[name] + rotations[0, row] @ np.mean(pieces, axis=0)
+    own = centres.pop(finger)
+    beside = own - np.mean(list(centres.values()), axis=0) if centres else np.zeros(3)
+    along = float(beside @ rotations[0, rows[finger], :, 2])
+    if abs(along) < 1e-4:
+        along = float(robot.upper[k] + robot.lower[k])
+    return 1.0 if along >= 0.0 else -1.0
 
 
 def _built(source: Mapping[str, Any], free: Sequence[str] = ()) -> Robot:

@@ -8,6 +8,7 @@ import pinocchio as pin
 import pytest
 from command_line import refused as command_refused
 from refusals import refused
+from small_arms import box, joint
 
 from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.benchmarks.suite import suite_named
@@ -22,13 +23,17 @@ from cvqmpt_lab.experiments.run import executor_for, failed_rows, outcome_of, ru
 from cvqmpt_lab.paper_tables.committed import RESULTS
 from cvqmpt_lab.planning.margins import Margin, solve_with_margin
 from cvqmpt_lab.results.row import RUNS_FILE, FailReason, read_rows
-from cvqmpt_lab.robot.load import robot_from_source, with_gripper
+from cvqmpt_lab.robot.load import load_robot, robot_from_source, with_gripper
+from cvqmpt_lab.robot.robot import Follower
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, PointCloud
 from cvqmpt_lab.search.result import Budget
 
 mujoco = pytest.importorskip("mujoco")
-FINGERS = {"panda_finger_joint1": "", "panda_finger_joint2": "panda_finger_joint1"}
+FINGERS = {
+    "panda_finger_joint1": None,
+    "panda_finger_joint2": Follower("panda_finger_joint2", "panda_finger_joint1", 1.0, 0.0),
+}
 
 
 @pytest.fixture(scope="module")
@@ -134,7 +139,48 @@ def test_an_arm_without_fingers_on_sliders_cannot_hold_by_friction(carrying):
     arm = robot_from_source({"name": "ur5"})
     control, scene = Controller("computed-torque", arm), carrying[0].scene
     given = arm, scene, np.zeros(6), control, Physics(0.004), True
-    refused("no fingers that its source locks", execute.Simulation, *given)
+    refused("has no fingers: only fingers on sliders", execute.Simulation, *given)
+
+
+@pytest.mark.parametrize("mimic", ["", '<mimic joint="left" multiplier="-1"/>'])
+def test_two_opposite_sliders_of_any_urdf_close_on_what_is_between_them(tmp_path, mimic):
+    """Fingers need no lock, and touch the flange and each other as little as planning does."""
+    fingers = [
+        joint(name, "flange", f"{name}_finger", "prismatic", (0, 1, 0), (0.1, 0.0, 0.0))
+        for name in ("left", "right")
+    ]
+    fingers = [
+        text.replace('lower="-3.0" upper="3.0"', f'lower="{low}" upper="{high}"')
+        for text, low, high in zip(fingers, (0.0, -0.04), (0.04, 0.0), strict=True)
+    ]
+    (tmp_path / "arm.urdf").write_text(
+        '<robot name="two-sliders">'
+        + box("base", (0.02, 0.02, 0.02), (0.0, 0.0, -2.0))
+        + box("flange", (0.1, 0.1, 0.1), (0.05, 0.0, 0.0))
+        + box("left_finger", (0.1, 0.01, 0.02), (0.05, 0.005, 0.0))
+        + box("right_finger", (0.1, 0.01, 0.02), (0.05, -0.005, 0.0))
+        + joint("turn", "base", "flange", "revolute", (0, 0, 1))
+        + fingers[0]
+        + fingers[1].replace("</joint>", f"{mimic}</joint>")
+        + "</robot>"
+    )
+    arm = load_robot(tmp_path / "arm.urdf", "flange")
+    control = Controller("computed-torque", arm)
+    given = arm, Scene("none", ()), np.zeros(1), control, Physics(0.004), True
+    world = execute.Simulation(*given)
+    places = {}
+    for force in (execute.OPEN_FORCE_N, execute.GRIP_FORCE_N):
+        world.force = force
+        world.hold(np.zeros(1), 0.4)
+        places[force] = [float(world.data.joint(name).qpos[0]) for name in ("left", "right")]
+    np.testing.assert_allclose(places[execute.OPEN_FORCE_N], (0.04, -0.04), atol=2e-3)
+    np.testing.assert_allclose(places[execute.GRIP_FORCE_N], (0.0, 0.0), atol=2e-3)
+    assert not world.touched
+
+
+def test_a_task_does_not_advise_to_weld(capsys):
+    said = command_refused(capsys, "execute", "multi-sequence", "--hold", "weld")
+    assert "--hold goes with a problem; in a task fingers hold by friction" in said
 
 
 def test_the_suite_goes_on_where_it_stopped(tmp_path):
