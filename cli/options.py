@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from cvqmpt_lab.base.errors import InvalidInputError, require_choice
-from cvqmpt_lab.base.files import finite, require_regular_file
+from cvqmpt_lab.base.files import finite, picture_format, require_regular_file
 
 # Keys: names of an option (`-v --verbose`), with arguments of argparse's add_argument; or the title
 # of a group, with its options.
@@ -137,6 +137,13 @@ def writable_file(name: Path | str) -> Path:
         raise InvalidInputError(
             f"cannot write {path}: {error.strerror}; choose a writable folder"
         ) from error
+    return path
+
+
+def picture_file(name: Path | str) -> Path:
+    """Return a `writable_file` with the suffix of a format of pictures."""
+    path = writable_file(name)
+    picture_format(path)
     return path
 
 

@@ -13,6 +13,7 @@ from cvqmpt_lab.cli.options import (
     file_of_kind,
     not_negative_int,
     option,
+    picture_file,
     writable_file,
 )
 from cvqmpt_lab.cli.problem_options import (
@@ -77,8 +78,8 @@ OPTIONS: Options = {
     "pictures": {
         "--picture": option(
             "a still picture of start, path and goal; for a task, of the end of each phase",
-            type=writable_file,
-            metavar="P.png",
+            type=picture_file,
+            metavar="P.png|jpg|pdf",
         ),
         "--save": option(
             "a page for a browser, a rerun recording, or a film",

@@ -232,14 +232,14 @@ def _show(args: argparse.Namespace, solution: "Solution | TaskSolution") -> list
     lines = []
     suffix = None if args.save is None else args.save.suffix
     if args.picture:
-        from cvqmpt_lab.show.picture import draw_solution, task_image, write_png
+        from cvqmpt_lab.show.picture import draw_solution, task_image, write_picture
 
         what = "picture"
         if isinstance(solution, Solution):
             draw_solution(solution, args.picture, carried=carried)
         else:
             image, names = task_image(solution, (600, 450))
-            write_png(args.picture, image)
+            write_picture(args.picture, image)
             what = f"picture of {', '.join(names)}"
         lines.append(f"{what} written to {args.picture}")
     if suffix == FILM_SUFFIX:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from cvqmpt_lab.base.errors import few
-from cvqmpt_lab.cli.options import FLAG, Options, option, writable_file
+from cvqmpt_lab.cli.options import FLAG, Options, option, picture_file
 from cvqmpt_lab.cli.problem_arguments import robot_options
 from cvqmpt_lab.cli.problem_options import ROBOT_DETAILS
 from cvqmpt_lab.collision.exact import CollisionChecker
@@ -161,7 +161,7 @@ OPTIONS: Options = {
     **ROBOT_DETAILS,
     "--json": option("print everything as one json object", **FLAG),
     "--picture": option(
-        "draw the collision pieces of the robot", type=writable_file, metavar="FILE.png"
+        "draw the collision pieces of the robot", type=picture_file, metavar="FILE.png|jpg|pdf"
     ),
 }
 COMMANDS = {"robot": (run, OPTIONS)}

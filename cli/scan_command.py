@@ -22,8 +22,8 @@ from cvqmpt_lab.cli.options import (
     log,
     numbers,
     option,
+    picture_file,
     refuse_given,
-    writable_file,
 )
 from cvqmpt_lab.cli.problem_arguments import chosen_robot, configuration
 from cvqmpt_lab.cli.problem_options import ROBOT, SCAN
@@ -283,8 +283,8 @@ OPTIONS: Options = {
     ),
     "--picture": option(
         "picture of points (also removed ones), cameras, axes, obstacles, and of a named robot",
-        type=writable_file,
-        metavar="P.png",
+        type=picture_file,
+        metavar="P.png|jpg|pdf",
     ),
     **SCAN,
     "the robot whose points are removed (panda)": ROBOT,

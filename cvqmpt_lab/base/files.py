@@ -14,7 +14,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cvqmpt_lab.base.errors import InvalidInputError, shown
+from cvqmpt_lab.base.errors import InvalidInputError, require_choice, shown
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
@@ -42,6 +42,12 @@ def replacing(path: Path) -> Iterator[Path]:
     finally:
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
+
+
+def picture_format(path: Path) -> str:
+    """Format of a picture by the suffix of its file, in Pillow's words; other suffixes raise."""
+    formats = {".png": "PNG", ".jpg": "JPEG", ".pdf": "PDF"}
+    return formats[require_choice(f"picture {path}: suffix", path.suffix.lower(), formats)]
 
 
 def write_bytes(path: Path, data: bytes) -> None:

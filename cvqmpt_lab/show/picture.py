@@ -1,4 +1,4 @@
-"""Still pictures of a robot, a scene, a problem, a solution or a task, as PNG; films as gif.
+"""Still pictures of a robot, scene, problem, solution or task (PNG, JPEG, PDF); films as gif.
 
 The solid part (scene, robot at the start) has outlines and shadows. Ghosts of the robot along the
 path and at the goal, the hand's trace, the constraint and the hand's axes are blended over it. A
@@ -16,7 +16,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from cvqmpt_lab.base.errors import InvalidInputError, UnknownChoiceError, require_choice
-from cvqmpt_lab.base.files import replacing
+from cvqmpt_lab.base.files import picture_format, replacing
 from cvqmpt_lab.base.processes import one_thread
 from cvqmpt_lab.planning.solution import Solution
 from cvqmpt_lab.problem import PlanningProblem
@@ -56,7 +56,7 @@ def draw(
 
     Args:
         what: the value to draw.
-        path: PNG file to write; None: no file is written.
+        path: file to write (.png, .jpg or .pdf); None: no file is written.
         size: width and height [pixels]; for a task solution, twice those of one phase's picture.
 
     Raises UnknownChoiceError for a value of another type, InvalidInputError for a scene without
@@ -88,7 +88,7 @@ def draw(
             names = [kind.__name__ for kind in DRAWN_TYPES]
             raise UnknownChoiceError("draw:", type(what).__name__, names)
     if path is not None:
-        write_png(Path(path), image)
+        write_picture(Path(path), image)
     return Image.fromarray(image)
 
 
@@ -115,7 +115,7 @@ def draw_solution(
     ghosts: int = 4,
     carried: Sequence[Attachment] = (),
 ) -> None:
-    """Write a PNG of the scene, the robot along the path, and the constraint, with a legend.
+    """Write a picture of the scene, the robot along the path, and the constraint, with a legend.
 
     The robot is drawn at the start, as ghosts along the path and at the goal; lines show the hand's
     trace, and its axes at start and goal.
@@ -128,7 +128,7 @@ def draw_solution(
         carried: objects drawn in the hand if the problem has no attachments.
     """
     image = problem_image(solution.problem, solution.path, size, ghosts, carried)
-    write_png(Path(path), image)
+    write_picture(Path(path), image)
 
 
 @one_thread()
@@ -291,10 +291,11 @@ def strip(labels: Sequence[Label], width: int, letters_across: int = 62) -> np.n
     return np.array(image)[: round((1 + line) * line_height)]
 
 
-def write_png(path: Path, image: np.ndarray) -> None:
-    """Write an 8-bit image (height, width, 3)."""
+def write_picture(path: Path, image: np.ndarray) -> None:
+    """Write an 8-bit image (height, width, 3) as PNG, JPEG or PDF, by the suffix of the file."""
+    kind = picture_format(path)
     with replacing(path) as temporary:
-        Image.fromarray(image).save(temporary, format="PNG", optimize=True)
+        Image.fromarray(image).save(temporary, format=kind, optimize=True, quality=92)
 
 
 @one_thread()

@@ -12,7 +12,7 @@ from cvqmpt_lab.scene.shapes import PointCloud
 from cvqmpt_lab.sensing.scan import Arm, Scan
 from cvqmpt_lab.show.bodies import Body, mesh_of, robot_bodies, scene_bodies
 from cvqmpt_lab.show.meshes import axes_marks, hull_mesh, shape_mesh
-from cvqmpt_lab.show.picture import legend_of, strip, write_png
+from cvqmpt_lab.show.picture import legend_of, strip, write_picture
 from cvqmpt_lab.show.raster import Renderer, framed
 
 
@@ -46,7 +46,7 @@ def draw_scan(
     viewpoint = framed(mesh_of([*solid, *obstacles]).corners.reshape(-1, 3), size)
     renderer = Renderer(mesh_of(()), None, viewpoint, size)
     layers = [renderer.layer(mesh_of(obstacles), 0.35)] if obstacles else []
-    write_png(Path(path), np.concatenate([renderer.image(mesh_of(solid), layers), legend]))
+    write_picture(Path(path), np.concatenate([renderer.image(mesh_of(solid), layers), legend]))
 
 
 def scan_bodies(made: Scan, voxel: float, radius: float = 0.003) -> list[Body]:

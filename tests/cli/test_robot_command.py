@@ -16,9 +16,13 @@ def test_without_a_robot_the_names_are_listed(cvqmpt):
     assert [line.split()[0] for line in cvqmpt("robot").splitlines()] == list(ARMS)
 
 
-def test_a_picture_is_written(cvqmpt, tmp_path, slider_arm_urdf):
-    cvqmpt("robot", slider_arm_urdf, "--picture", tmp_path / "a.png")
+def test_a_picture_is_written_in_the_format_of_its_name(cvqmpt, tmp_path, slider_arm_urdf, capsys):
+    for name, head in (("a.png", b"\x89PNG"), ("a.pdf", b"%PDF"), ("a.jpg", b"\xff\xd8")):
+        cvqmpt("robot", slider_arm_urdf, "--picture", tmp_path / name)
+        assert (tmp_path / name).read_bytes().startswith(head)
     assert len(np.unique(np.asarray(Image.open(tmp_path / "a.png")))) > 20
+    told = refused(capsys, "robot", slider_arm_urdf, "--picture", tmp_path / "a.svg")
+    assert "suffix '.svg'; valid choices: .png, .jpg, .pdf" in told
 
 
 @pytest.fixture

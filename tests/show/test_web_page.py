@@ -91,8 +91,16 @@ def test_a_browser_shows_scene_robot_and_plots(solution, task_solution, tmp_path
     save_page(solution, tmp_path / "plan.html")
     save_page(task_solution, tmp_path / "task.html")
     last = len(solution.path.states) - 1
+    used = "".join(
+        f"canvas.onpointermove({{buttons: 1, movementX: {x}, movementY: 0}});" for x in (9, -9)
+    )
+    used += f"byId('play').click(); show(1); byId('play').click(); show({last});"
+    used = f"setTimeout(() => {{ {used} }}, 300);"  # after the first frame is on the screen
+    page = (tmp_path / "plan.html").read_text()
+    page = page.replace("</body>", f"<script>{used}</script></body>")
+    (tmp_path / "used.html").write_text(page)
     shown = {}
-    for page in ("plan.html#0", f"plan.html#{last}", "task.html#0"):
+    for page in ("plan.html#0", "used.html#0", "task.html#0"):
         words = "--headless --no-sandbox --use-angle=swiftshader --enable-unsafe-swiftshader "
         words += "--window-size=700,900 --timeout=8000 --enable-logging=stderr"
         files = [f"--user-data-dir={tmp_path}/user", f"--screenshot={tmp_path}/shot.png"]
@@ -104,5 +112,7 @@ def test_a_browser_shows_scene_robot_and_plots(solution, task_solution, tmp_path
     trace = (first[..., 0] - first[..., 2] > 130) & (first[..., 1] > 60)  # orange beads
     assert trace[:560].sum() > 100
     assert (np.abs(first - end).max(axis=2) > 60)[:560].sum() > 1000  # the robot moved
+    drawn = [(picture.min(axis=2) < 240)[40:500].sum() for picture in (first, end)]
+    assert drawn[1] == pytest.approx(drawn[0], rel=0.1)  # nothing is lost by turning and playing
     assert (np.abs(first - end).max(axis=2) > 60)[640:].sum() > 50  # and the marks in the plots
     assert len(np.unique(task[40:500].reshape(-1, 3), axis=0)) > 500
