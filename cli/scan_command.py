@@ -6,6 +6,7 @@ Other commands use its options, and those of a single motion among scanned obsta
 import argparse
 import json
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -47,6 +48,7 @@ from cvqmpt_lab.sensing.scan import (
     occupancy_map,
     refuse_touching,
     scan,
+    unseen_share,
 )
 
 
@@ -96,8 +98,20 @@ def scan_of(args: argparse.Namespace, files: Sequence[Path], robot: Robot, arm: 
     return scan(captures, settings, np.random.default_rng(0), arm)
 
 
-def scene_of(args: argparse.Namespace, made: Scan, arm: Arm | None) -> Scene:
-    """Return the scan as obstacles; the space inside `arm` counts as seen."""
+def scene_of(args: argparse.Namespace, made: Scan, robot: Robot, arm: Arm | None) -> Scene:
+    """Return the scan as obstacles, with the share of the robot's reach that nobody saw.
+
+    The space inside `arm` counts as seen.
+    """
+    scene = _obstacles_of(args, made, arm)
+    if args.unknown == "occupied" and args.radius is None:
+        return scene
+    share = unseen_share(made.captures, robot.reach, arm)
+    return replace(scene, unseen=round(share, 3))
+
+
+def _obstacles_of(args: argparse.Namespace, made: Scan, arm: Arm | None) -> Scene:
+    """Return the scan as obstacles."""
     if args.radius is not None:
         return made.scene(PointCloud(made.points, args.radius) if len(made.points) else None)
     if len(made.points) == 0 and args.unknown == "free":
@@ -171,7 +185,7 @@ def motion_problem(args: argparse.Namespace) -> PlanningProblem:
         scene = read_scene(args.scene)
     else:
         arm = arm_of(args, robot, start)
-        scene = scene_of(args, scanned(args, arm), arm)
+        scene = scene_of(args, scanned(args, arm), robot, arm)
         refuse_touching(scene, Arm(robot, start))
     check_extent(scene, robot.reach, f"scene {args.scene}" if args.scene else "scan")
     return PlanningProblem(
@@ -246,11 +260,13 @@ def run(args: argparse.Namespace) -> None:
     robot = chosen_robot(args)
     arm = None if args.arm_at is None else Arm(robot, configuration(robot, "--arm-at", args.arm_at))
     made = scan_of(args, args.files, robot, arm)
-    scene = scene_of(args, made, arm)
+    scene = scene_of(args, made, robot, arm)
     check_extent(scene, robot.reach, "scan")
     if arm is not None:
         refuse_touching(scene, arm)
     print("\n".join(scan_report(made, args.files)))
+    for note in scene.notes:
+        print(f"unseen      {note}")
     for path in args.out:
         if path.suffix == ".json":
             write_text(path, json_text(to_plain(scene)) + "\n")

@@ -300,6 +300,11 @@ class PlanningProblem(Document):
         """Dynamics of the robot and its load; None if no effort is limited."""
         return Dynamics.of(self.robot, loads_of(self.attachments))
 
+    @property
+    def notes(self) -> list[str]:
+        """Lines on what robot and scene let planning take otherwise than expected."""
+        return [*self.robot.notes, *self.scene.notes]
+
     def random_stream(self, *keys: int) -> np.random.Generator:
         """Return a generator seeded by keys, such as a seed, and by the start."""
         return np.random.default_rng([*keys, *np.abs(self.start * 1e6).astype(np.uint64)])

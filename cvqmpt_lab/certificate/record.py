@@ -255,7 +255,7 @@ def _compared(problem: PlanningProblem) -> dict[str, Any]:
         "own_pairs": len(robot.collision_model.collisionPairs) + own,
         "left_out": left_out,
         "links_without_body": list(robot.bodiless),
-        "notes": robot.notes,
+        "notes": problem.notes,
     }
 
 

@@ -75,7 +75,7 @@ class Solution:
         lines = [
             f"problem     {self.problem.name}: robot {self.problem.robot.name}, "
             f"{len(self.goals)} goals",
-            *(f"note        {note}" for note in self.problem.robot.notes),
+            *(f"note        {note}" for note in self.problem.notes),
             *_left_out(self.left_out),
             f"constraint  {_bounds(self)}",
             f"planner     {f'{chosen}, {samples}' if planner else samples}",

@@ -20,7 +20,7 @@ import numpy as np
 from cvqmpt_lab.base.codec import Checked, from_plain
 from cvqmpt_lab.base.errors import InvalidInputError, UnknownChoiceError, at, shown, unique
 from cvqmpt_lab.base.poses import Pose, pose
-from cvqmpt_lab.base.values import FloatArray, Mass, Name
+from cvqmpt_lab.base.values import Condition, FloatArray, Mass, Name
 from cvqmpt_lab.scene.shapes import ConvexMesh, Measured, OccupancyMap, PointCloud, Shape, Sphere
 
 
@@ -75,6 +75,9 @@ class Articulation(Checked):
             )
 
 
+Share = Annotated[float, Condition(float, lambda x: 0.0 <= x <= 1.0, "a share from 0 to 1")]
+
+
 @dataclass(frozen=True, eq=False)
 class Scene(Checked):
     """Named objects and articulations; scenes with the same content are equal."""
@@ -84,6 +87,21 @@ class Scene(Checked):
     """Everything that cameras see, in a fixed order that is part of the content."""
     articulations: tuple[Articulation, ...] = ()
     """Hinges and sliders; at most one of them moves an object."""
+    unseen: Share | None = None
+    """Share of the arm's reach that no camera saw and that counts as free; None: not a scan."""
+
+    @property
+    def notes(self) -> list[str]:
+        """Lines on what planning takes as free although nobody has seen it."""
+        if self.unseen is None:
+            return []
+        if self.unseen == 1.0:
+            seen = "no camera's pose is known, so that all of the arm's reach"
+        elif self.unseen >= 0.005:
+            seen = f"{self.unseen:.0%} of the arm's reach"
+        else:
+            return []
+        return [f"{self.name}: {seen} is unseen and counts as free; --unknown occupied avoids it"]
 
     def _check(self) -> None:
         scene = f"scene {self.name!r}"

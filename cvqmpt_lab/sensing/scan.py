@@ -295,6 +295,26 @@ def occupancy_map(
     return map_of_points(points, settings.resolution, settings.padding)
 
 
+def unseen_share(
+    captures: Sequence[Cloud], reach: float, arm: Arm | None = None, coarse: float = 0.05
+) -> float:
+    """Return the share of a ball of an arm's reach that no ray crossed; 1.0 without camera poses.
+
+    Args:
+        captures: all captures of the sensors.
+        reach: radius of the ball around the robot's base [m].
+        arm: the robot during the scan; the space inside it is known.
+        coarse: edge of the cells that are counted [m].
+    """
+    if all(np.array_equal(capture.T_world_camera, np.eye(4)) for capture in captures):
+        return 1.0  # the points are in the base frame, and nobody knows from where they were seen
+    edge = max(coarse, reach / 40.0)
+    box = (-reach,) * 3, (reach,) * 3
+    places = _unknown(MapSettings(resolution=edge, lower=box[0], upper=box[1]), captures, arm)
+    hidden = int((np.linalg.norm(places, axis=1) <= reach).sum())
+    return min(hidden * edge**3 / (4.0 / 3.0 * np.pi * reach**3), 1.0)
+
+
 def _unknown(
     settings: MapSettings, captures: Sequence[Cloud], arm: Arm | None, most: int = 1 << 27
 ) -> FloatArray:

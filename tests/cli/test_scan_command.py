@@ -38,6 +38,7 @@ def test_a_depth_image_becomes_a_clean_cloud_and_a_scene(
     assert not near_robot(points, panda, np.fromstring(START, sep=","), 0.049).any()
     scene = read_scene(out[1])
     assert set(scene.names) == {"scan", "table"} and scene["scan"].shape.resolution == 0.02
+    assert 0.5 < scene.unseen < 1.0 and f"{scene.unseen:.0%} of the arm's reach is unseen" in told
     off, _ = cKDTree(scene["scan"].shape.centres).query(points, p=np.inf)
     assert off.max() < 0.01 + 1e-6, "every point lies in a cell"
 
