@@ -1,12 +1,18 @@
 """Margins of planning, and the deviations that a certificate reports as tolerated."""
 
+import inspect
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from cvqmpt_lab.base.poses import rotation_matrices
 from cvqmpt_lab.certificate.between_states import least_slack
+from cvqmpt_lab.cli.problem_options import MARGIN
+from cvqmpt_lab.constraints.goals import goals_of
 from cvqmpt_lab.constraints.report import displacements, excess
 from cvqmpt_lab.planning.margins import NO_MARGIN, Margin, solve_with_margin, with_margin
+from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.tasks.solve import solve_task
 
@@ -14,8 +20,19 @@ from cvqmpt_lab.tasks.solve import solve_task
 @pytest.fixture(scope="module")
 def inside(problem):
     """Return a solution of `problem` with the default margin, and its report."""
-    budget = Budget(iterations=20_000)
-    return solve_with_margin(problem, "birrt", budget, 0, Margin(), exact_clearance=True)
+    return solve_with_margin(problem, "birrt", Budget(iterations=20_000), 0, exact_clearance=True)
+
+
+def test_library_and_command_have_one_default_margin():
+    defaults = MARGIN["--margin"]["default"], MARGIN["--margin-angle"]["default"]
+    assert inspect.signature(solve_with_margin).parameters["margin"].default == defaults
+
+
+def test_the_log_of_a_plan_has_the_time_of_its_goals(problem, caplog):
+    goals = goals_of(problem)
+    with caplog.at_level("INFO", logger="cvqmpt"):
+        solve(problem, "birrt", Budget(iterations=1), 0, goals=replace(goals, seconds=0.0345))
+    assert "goals in 34.5 ms" in caplog.text
 
 
 def test_the_margin_asked_for_is_kept_and_tolerated(inside):

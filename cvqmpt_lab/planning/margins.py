@@ -89,7 +89,7 @@ def solve_with_margin(
     method: Method | str,
     budget: Budget,
     seed: int,
-    margin: Margin,
+    margin: Margin = Margin(),  # noqa: B008
     **options: Any,
 ) -> tuple[Solution, str]:
     """Solve a problem with a margin; if there is no path, solve it without.
@@ -101,7 +101,7 @@ def solve_with_margin(
         method: a planner or its name.
         budget: budget of both runs.
         seed: seed of random numbers.
-        margin: for tracking error.
+        margin: for tracking error; `cvqmpt plan` has the same default.
         **options: more arguments of `solve`.
 
     Returns:

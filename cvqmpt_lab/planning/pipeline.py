@@ -53,6 +53,7 @@ def solve(
 ) -> Solution:
     """Draw goals, observe, predict, update, search, shorten and certify a path.
 
+    It keeps no margin for tracking error; `solve_with_margin` keeps that of `cvqmpt plan`.
     If the certificate refuses the path, the search continues. All random numbers depend on seed and
     start. Calls from several threads run one after the other, because OMPL's random numbers, caches
     and the number of BLAS threads belong to the process. Several processes can plan in parallel.
@@ -103,7 +104,7 @@ def solve(
     began = time.perf_counter()
     cloud = None if stages.observe is None else stages.observe(problem.scene)
     observe_seconds = time.perf_counter() - began
-    _log.info("%d goals in %.1f ms", len(usable), 1e3 * goal_seconds)
+    _log.info("%d goals in %.1f ms", len(usable), 1e3 * goals.seconds)
     _log.info("cloud of %s points", "no" if cloud is None else len(cloud))
     space = ConstrainedSpace.of(problem, backend, ends=np.vstack([problem.start, usable]))
     rng = problem.random_stream(seed)

@@ -11,7 +11,7 @@ from cvqmpt_lab import (
     pose,
     region,
     robot_from_source,
-    solve,
+    solve_with_margin,
 )
 
 robot = robot_from_source({"name": "ur5"})
@@ -24,5 +24,5 @@ problem = PlanningProblem(
     goal_region=region("pose", at={"xyz": [0.4, 0.35, 0.3], "rpy": [np.pi, 0.0, 0.0]}),
     constraint=(region("upright", tilt=0.1, axis="-z"),),
 )
-solution = solve(problem, "roadmap", Budget(seconds=10.0), seed=0)
-print(solution)
+solution, margin = solve_with_margin(problem, "roadmap", Budget(seconds=10.0), seed=0)
+print(solution, f"margin      {margin}", sep="\n")

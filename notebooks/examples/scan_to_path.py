@@ -10,7 +10,7 @@ from cvqmpt_lab import (
     SceneObject,
     pose,
     robot_from_source,
-    solve,
+    solve_with_margin,
 )
 
 rng = np.random.default_rng(0)
@@ -24,5 +24,5 @@ problem = PlanningProblem(
     start=np.array([-0.9, 0.3, 0.0, -1.9, 0.0, 2.2, 0.8]),
     goals=np.array([[0.9, 0.3, 0.0, -1.9, 0.0, 2.2, 0.8]]),
 )
-solution = solve(problem, "roadmap", Budget(seconds=10.0), seed=0)
-print(solution)
+solution, margin = solve_with_margin(problem, "roadmap", Budget(seconds=10.0), seed=0)
+print(solution, f"margin      {margin}", sep="\n")
