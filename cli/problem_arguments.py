@@ -69,6 +69,8 @@ def robot_options(args: argparse.Namespace) -> dict[str, Any]:
         "package_dirs": [str(folder.absolute()) for folder in args.package_dir],
         "locked": dict(args.lock),
         "base": args.base,
+        "tool": args.tool,
+        "velocity_limits": args.velocity,
         "acceleration_limits": args.acceleration,
         "jerk_limits": args.jerk,
         "effort_limits": args.effort,

@@ -27,11 +27,11 @@ if TYPE_CHECKING:
     from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 
 
-def _placement(text: str) -> dict[str, Any]:
-    """Return the pose of --base."""
-    x = numbers("--base", text)
+def _placement(option: str, text: str) -> dict[str, Any]:
+    """Return the pose of --base or --tool."""
+    x = numbers(option, text)
     if len(x) not in (3, 6):
-        raise InvalidInputError(f"--base {text!r}: write X,Y,Z or X,Y,Z,ROLL,PITCH,YAW [m, rad]")
+        raise InvalidInputError(f"{option} {text!r}: write X,Y,Z or X,Y,Z,ROLL,PITCH,YAW [m, rad]")
     return {"xyz": x[:3], "rpy": x[3:] or None}
 
 
@@ -73,8 +73,20 @@ ROBOT_DETAILS: Options = {  # for robots given by name or by file
     ),
     "--base": option(
         "pose of the base: position [m], roll, pitch and yaw [rad]",
-        type=_placement,
+        type=partial(_placement, "--base"),
         metavar="X,Y,Z[,ROLL,PITCH,YAW]",
+    ),
+    "--tool": option(
+        "pose of a tool in the frame of the end effector, whose place it takes for constraint and "
+        "goals: position [m], roll, pitch and yaw [rad]",
+        type=partial(_placement, "--tool"),
+        metavar="X,Y,Z[,ROLL,PITCH,YAW]",
+    ),
+    "--velocity": option(
+        "velocity limits, one per joint or one for all [rad/s or m/s] (those of the URDF, where 0 "
+        "stands for none)",
+        type=partial(_limits, "--velocity"),
+        metavar="V[,V...]",
     ),
     "--hard-limits": option(
         "plan to the joint limits, beyond the soft ones of the URDF's safety_controller", **FLAG

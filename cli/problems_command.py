@@ -203,6 +203,7 @@ def ik(args: argparse.Namespace) -> int:
     """Sample and print configurations; return 1 if there is none."""
     data = read_json_object(args.problem_file, "problem file")
     region = _region(args, data)
+    data["robot"] = robot_source(args, args.problem_file) or data.get("robot")
     with located(str(args.problem_file)):
         data = PlanningProblem.with_named_files(data, args.problem_file.parent)
         robot = robot_from_source(mapping(data.get("robot"), "robot"))
@@ -270,5 +271,6 @@ IK: Options = {
     ),
     **SEED,
     "--json": option("print one json object", **FLAG),
+    "another robot for --problem-file": ROBOT,
 }
 COMMANDS = {"problems": (run, OPTIONS), "ik": (ik, IK)}

@@ -86,6 +86,8 @@ def load_robot(
     base: np.ndarray | None = None,
     hard_limits: bool = False,
     visual_as_collision: bool = False,
+    velocity_limits: float | Sequence[float] | None = None,
+    tool: np.ndarray | None = None,
 ) -> Robot:
     """Load the arm of revolute and prismatic joints from the base of a URDF to one of its frames.
 
@@ -105,6 +107,8 @@ def load_robot(
         base: (4, 4) pose of the base link in the world; None: the identity.
         hard_limits: whether joints move beyond the soft limits of their <safety_controller>.
         visual_as_collision: whether links without a collision body get their visual bodies.
+        velocity_limits: (n,), or one for all joints [rad/s or m/s]; None: those of the URDF.
+        tool: (4, 4) pose of a tool in the end effector's frame, whose place it takes [m].
     """
     source: dict[str, Any] = {"urdf": str(Path(urdf).resolve())}
     if isinstance(end_effector, str):
@@ -122,6 +126,8 @@ def load_robot(
         "effort_limits": effort_limits,
         "torque_rate_limits": torque_rate_limits,
         "base": base,
+        "velocity_limits": velocity_limits,
+        "tool": tool,
     }
     given = {k: np.asarray(v).tolist() for k, v in numbers.items() if v is not None}
     flags = {"hard_limits": hard_limits, "visual_as_collision": visual_as_collision}
@@ -246,6 +252,12 @@ def _built(source: Mapping[str, Any], free: Sequence[str] = ()) -> Robot:
     placeholder = np.where(kinematics.prismatic[own], 1e4, 1e3)
     plausible = np.where((efforts > 0.0) & (efforts < placeholder), efforts, np.inf)
     names = [model.names[j + 1] for j in own.tolist()]
+    if given.velocity_limits is not None and not free:
+        speeds = positive_per_joint(
+            "velocity", given.velocity_limits, names, LIMIT_UNITS["velocity"]
+        )
+        for j, speed in zip(own.tolist(), speeds.tolist(), strict=True):
+            model.upperVelocityLimit[j] = speed
     limits = {
         kind: positive_per_joint(kind, values, names, LIMIT_UNITS[kind])
         for kind, values in ((k.removesuffix("_limits"), v) for k, v in given.limits.items())
@@ -256,6 +268,11 @@ def _built(source: Mapping[str, Any], free: Sequence[str] = ()) -> Robot:
         name: model.frames[model.getFrameId(name, pin.FrameType.BODY)]
         for name in given.end_effectors
     }
+    remarks = bodies.notes
+    if given.tool is not None:
+        hands[given.end_effector].placement *= pin.SE3(given.tool)
+        at = " ".join(f"{x:g}" for x in given.tool[:3, 3])
+        remarks += (f"constraint and goals refer to a tool at {at} m of {given.end_effector}",)
     robot = Robot(
         name=model.name,
         source=dict(source),
@@ -272,7 +289,7 @@ def _built(source: Mapping[str, Any], free: Sequence[str] = ()) -> Robot:
         soft_limited=soft,
         # those that move come first
         bodiless=tuple(sorted(bodies.bodiless, key=lambda name: _joint_of(model, name) == 0)),
-        remarks=bodies.notes,
+        remarks=remarks,
         limits={"effort": plausible, **limits},
         files=tuple({**read, **meshes}.items()),
         continuous=tuple(name for name in names if urdf.joints[name].kind == "continuous"),

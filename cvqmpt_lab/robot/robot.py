@@ -337,7 +337,8 @@ class Robot:
         if unknown:
             raise InvalidInputError(
                 f"robot {self.name} has velocity limits of 0 for {', '.join(unknown)}: give each "
-                '<limit> of the URDF its motor\'s velocity="..." [rad/s or m/s]'
+                '<limit> of the URDF its motor\'s velocity="..." [rad/s or m/s], or give '
+                "--velocity, in a problem file 'velocity_limits' of 'robot'"
             )
         return JointLimits(self.joint_names, self.velocity_limits, **self.limits)
 

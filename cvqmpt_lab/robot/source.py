@@ -40,6 +40,8 @@ class RobotSource:
     srdf: str = ""
     # values of the joints that are held [rad or m]
     locked: Mapping[str, float] = field(default_factory=dict)
+    # (n,), or () for all joints [rad/s or m/s]; None: those of the URDF
+    velocity_limits: Annotated[FloatArray, PerJoint()] | None = None
     # (n,), or () for all joints [rad/s^2 or m/s^2]
     acceleration_limits: Annotated[FloatArray, PerJoint()] | None = None
     # (n,), or () for all joints [rad/s^3 or m/s^3]
@@ -56,6 +58,8 @@ class RobotSource:
     visual_as_collision: bool = False
     # (4, 4) pose of the URDF's base link in the world; None: the identity
     base: Pose | None = None
+    # (4, 4) pose of the tool in the frame `end_effector`, whose place it takes; None: the identity
+    tool: Pose | None = None
     name: str = ""  # a key of `ARMS`, instead of a URDF; other fields replace the named arm's
     finger_opening: float | None = None  # opening of each finger of the Panda [m]
     # several frames instead of `end_effector`; a region without a frame refers to the first
@@ -109,6 +113,11 @@ def read_source(source: Mapping[str, Any]) -> RobotSource:
     unique(given.end_effectors, "robot.end_effectors")
     if given.end_effectors:
         given = replace(given, end_effector=given.end_effectors[0])
+    if given.tool is not None and len(given.end_effectors) > 1:
+        raise InvalidInputError(
+            f"robot.tool belongs to one end effector: give one of {', '.join(given.end_effectors)}"
+            " as 'end_effector'"
+        )
     if given.name and given.urdf:
         raise InvalidInputError("robot has 'name' and 'urdf': give one of the two")
     if given.name:

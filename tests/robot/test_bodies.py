@@ -188,3 +188,5 @@ def test_a_velocity_of_0_is_refused_with_the_place_to_give_one(edited):
     )
     pattern = r"slider_arm has velocity limits of 0 for lift: give each <limit> of the URDF"
     refused(pattern, lambda: robot.joint_limits)
+    given = robot_from_source({**robot.source, "velocity_limits": [4.0, 3.0, 2.0, 1.0]})
+    np.testing.assert_allclose(given.joint_limits.velocity, (4.0, 3.0, 2.0, 1.0))

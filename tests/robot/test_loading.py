@@ -11,7 +11,9 @@ import trimesh
 from command_line import python
 from refusals import refused, table
 
+from cvqmpt_lab.base.codec import from_plain
 from cvqmpt_lab.base.errors import CvqmptError
+from cvqmpt_lab.base.poses import Pose
 from cvqmpt_lab.robot.load import MAX_REACH_M, load_robot, robot_from_source
 from cvqmpt_lab.robot.source import ARMS
 from cvqmpt_lab.scene.scene import pose
@@ -36,6 +38,19 @@ def binary_stl(*triangles):
     """A binary STL file of triangles (3, 3)."""
     rows = (struct.pack("<12fH", 0, 0, 0, *np.ravel(corners), 0) for corners in triangles)
     return b"\0" * 80 + struct.pack("<I", len(triangles)) + b"".join(rows)
+
+
+def test_a_tool_takes_the_place_of_the_frame_behind_which_it_is(panda):
+    tool = {"xyz": [0.0, 0.02, 0.1], "rpy": [0.0, 0.0, 0.5]}
+    robot = robot_from_source({"name": "panda", "tool": tool})
+    T = panda.pose(HOME) @ from_plain(Pose, tool, "tool")
+    np.testing.assert_allclose(robot.pose(HOME), T, atol=1e-12)
+    np.testing.assert_allclose(robot.pose(HOME, "panda_hand"), T, atol=1e-12)
+    assert "a tool at 0 0.02 0.1 m of panda_hand" in robot.notes[-1]
+    several = {"name": "baxter", "end_effectors": ["left_gripper", "right_gripper"], "tool": tool}
+    refused("robot.tool belongs to one end effector", robot_from_source, several)
+    flat = {"name": "panda", "tool": np.diag([1.0, 1.0, 0.0, 1.0]).tolist()}
+    refused("robot.tool is not a rigid pose", robot_from_source, flat)
 
 
 def test_unusable_options_and_files_are_named(slider_arm_urdf, edited, tmp_path, panda):
