@@ -188,7 +188,7 @@ def _prove(
     half = half_length / count
     ahead = deque((2.0 * k * half, half, 0) for k in range(count))
     checks = fine = 0
-    kept = far
+    kept = np.inf
     unproven: Unproven | None = None
     while ahead:
         batch = [ahead.popleft() for _ in range(min(most_at_once, len(ahead)))]
@@ -212,9 +212,9 @@ def _prove(
                 return MotionProof(middle, None, checks, (-np.inf, -np.inf))
             if least and motion < 0.5 * least.found.distance:
                 # the middle may be the closest so far; no state is closer by more than `motion`
-                kept = least.measure(middle) - motion
-                if kept > margin and kept >= least.aim(checks // max(effort, 10 * count)):
-                    least.lower = min(least.lower, kept)
+                reached = least.measure(middle) - motion
+                if reached > margin and reached >= least.aim(checks // max(effort, 10 * count)):
+                    least.lower, kept = min(least.lower, reached), min(kept, reached)
                     continue
             if half > (coarse if unproven or fine > max_fine_checks else finest):
                 left += (begin, 0.5 * half, free), (begin + half, 0.5 * half, free)

@@ -208,12 +208,13 @@ def test_no_sampled_state_is_closer_than_proven(panda, open_kitchen, seed):
         if proof.colliding is not None:
             continue
         judged += 1
-        states = sampled(motion, 0.005)
-        for least, nearest in (
-            (proof.obstacles, checker.nearest_obstacle),
-            (proof.itself, checker.nearest_of_itself),
+        states, shown = sampled(motion, 0.005), prove_free(checker, motion).kept
+        for least, nearest, *kept in (
+            (proof.obstacles, checker.nearest_obstacle, shown[0], proof.kept[0]),
+            (proof.itself, checker.nearest_of_itself, shown[1], proof.kept[1]),
         ):
             closest = min(nearest(state).distance for state in states)
+            assert max(kept) <= closest + 1e-6
             assert least.distance == pytest.approx(nearest(least.q).distance, abs=1e-9)
             assert least.distance - least.bound <= closest + 1e-6
             # distances above 0.1 m are proven to exceed 0.1 m only
