@@ -40,11 +40,23 @@ from cvqmpt_lab.paper_tables.writers import text_lines
 from cvqmpt_lab.results.store import directory_rows
 
 
-def show_tables(directory: Path) -> None:
-    """Render the tables of a directory; print a line for each planner, and a path."""
+def show_tables(directory: Path, baseline: str | None = None) -> None:
+    """Render the tables of a directory; print a line for each planner, and a path.
+
+    baseline: planner with which the others are compared, in lines that are printed only.
+    """
+    from cvqmpt_lab.paper_tables.compare_runs import against, comparison_lines
+
+    found = against(directory_rows(directory), baseline) if baseline else []
     written = render_directory(directory)
     title, *lines = written.brief
     print("\n".join([f"{title}; all numbers: {directory / 'table.md'}", *lines]))
+    if found:
+        print(
+            f"from A, {baseline}, to B, another planner; changes over problems that both solved, "
+            "95 % intervals"
+        )
+        print("\n".join(text_lines(comparison_lines(found))))
 
 
 def write_report(directory: Path, out: Path | None = None) -> None:
@@ -59,19 +71,30 @@ def write_report(directory: Path, out: Path | None = None) -> None:
 
 
 def compare(args: argparse.Namespace) -> int:
-    """Pair two runs of the same problems and print what changed."""
+    """Pair two runs, or two planners, on the same problems and print what differs."""
     from cvqmpt_lab.paper_tables.compare_runs import (
         clear,
-        compared,
+        compared_sides,
         comparison_lines,
         planners_of_one,
     )
 
-    before, after = directory_rows(args.before), directory_rows(args.after)
-    found, alone = compared(before, after), planners_of_one(before, after)
+    a, b = args.before, args.after
+    found, unlike = compared_sides(a, b), a.unlike(b)
+    alone: tuple[list[str], list[str]] = ([], [])
+    if a.planner is None:
+        alone = planners_of_one(directory_rows(a.folder), directory_rows(b.folder))
+    budgets = [line for line in unlike if line.startswith(("cutoff_s", "iterations", "cost_s"))]
+    if args.fail_if and budgets:
+        raise InvalidInputError(
+            f"--fail-if needs equal budgets, but from A to B {'; '.join(budgets)}; run both with "
+            "the same --cutoff, --iterations or --cost"
+        )
+    for line in unlike:
+        print(f"unlike settings, from A to B: {line}")
     print(
-        f"from A, {args.before}, to B, {args.after}; runs in both; changes over problems that "
-        "both solved, 95 % intervals"
+        f"from A, {a.folder}, to B, {b.folder}; runs in both; changes over problems that both "
+        "solved, 95 % intervals"
     )
     print("\n".join(text_lines(comparison_lines(found))))
     print("\n".join(clear(found) or ["no clear change"]))
@@ -84,6 +107,13 @@ def compare(args: argparse.Namespace) -> int:
     for line in broken:
         print(f"fails: {line}")
     return 1 if broken else 0
+
+
+def _side(text: str) -> Any:
+    """Return one side of a comparison, FOLDER or FOLDER:PLANNER."""
+    from cvqmpt_lab.paper_tables.compare_runs import Side
+
+    return Side.read(text)
 
 
 def _rule(text: str) -> Any:
@@ -244,6 +274,10 @@ def _check_committed(args: argparse.Namespace) -> int:
 
 TABLE: Options = {
     "directory": option("a directory with runs.csv and provenance.json", type=Path, metavar="DIR"),
+    "--baseline": option(
+        "also compare every planner with this one, problem by problem, with intervals",
+        metavar="PLANNER",
+    ),
 }
 REPORT: Options = {
     "directory": option(
@@ -252,9 +286,14 @@ REPORT: Options = {
     "--out": option("file to write (DIR/report.html)", type=Path, metavar="FILE"),
 }
 COMPARE: Options = {
-    "before": option("a results directory", type=Path, metavar="A"),
+    "before": option(
+        "a results directory, or one planner in it: FOLDER:PLANNER", type=_side, metavar="A"
+    ),
     "after": option(
-        "another, of the same suite; the runs that both have are compared", type=Path, metavar="B"
+        "another of the same suite, or FOLDER:PLANNER, also of the same folder; the runs that both "
+        "have are compared",
+        type=_side,
+        metavar="B",
     ),
     "--fail-if": option(
         "exit with 1 if COLUMN OP NUMBER is true for a planner, such as 'time > 1.1', or if B "
@@ -318,7 +357,7 @@ CHECK_TABLES: Options = {
     },
 }
 COMMANDS = {
-    "table": (lambda args: show_tables(args.directory), TABLE),
+    "table": (lambda args: show_tables(args.directory, args.baseline), TABLE),
     "report": (lambda args: write_report(args.directory, args.out), REPORT),
     "compare": (compare, COMPARE),
     "claims": (claims, CLAIMS),

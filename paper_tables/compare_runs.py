@@ -1,16 +1,19 @@
-"""Two runs of the same problems, before and after a change, paired by problem and seed."""
+"""Two runs of the same problems or two planners of a run, paired by problem and seed."""
 
 import math
 import operator
 import re
 from collections.abc import Callable, Collection, Mapping, Sequence
+from pathlib import Path
 from typing import NamedTuple
 
-from cvqmpt_lab.base.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.base.errors import InvalidInputError, UnknownChoiceError, require_choice
 from cvqmpt_lab.paper_tables.measures import VALUES, Rows, fraction, mean_ratio, paired, solved
 from cvqmpt_lab.paper_tables.table_engine import by_planner
-from cvqmpt_lab.paper_tables.writers import Lines, change, number
+from cvqmpt_lab.paper_tables.writers import Lines, change, estimate
+from cvqmpt_lab.results.provenance import ProvenanceFile, unlike_settings
 from cvqmpt_lab.results.statistics import Interval
+from cvqmpt_lab.results.store import directory_rows
 
 COMPARED_VALUES = {
     "time": VALUES["time"],
@@ -28,8 +31,29 @@ OPERATORS: Mapping[str, Callable[[float, float], bool]] = {
 Pair = tuple[str, int]  # problem and seed
 
 
+class Side(NamedTuple):
+    """One side of a comparison: a results directory, or one planner in it."""
+
+    folder: Path
+    planner: str | None = None
+
+    @staticmethod
+    def read(text: str) -> "Side":
+        """Read FOLDER or FOLDER:PLANNER; names of planners may contain colons."""
+        parts = text.split(":")
+        for count in range(len(parts), 0, -1):
+            folder = Path(":".join(parts[:count]))
+            if folder.is_dir() or count == 1:
+                break
+        return Side(folder, ":".join(parts[count:]) or None)
+
+    def unlike(self, other: "Side") -> list[str]:
+        """Return a line for each setting in which the other run differs from this one."""
+        return unlike_settings(*(ProvenanceFile(side.folder).read() for side in (self, other)))
+
+
 class Compared(NamedTuple):
-    """One planner in two runs, A and B."""
+    """One planner in two runs, or two planners: A and B."""
 
     planner: str
     pairs: int
@@ -48,12 +72,7 @@ def compared(a: Rows, b: Rows) -> list[Compared]:
     Raises:
         InvalidInputError: suites, problems or seeds differ, or no planner is in both.
     """
-    suites = [sorted({row.suite for row in rows}) for rows in (a, b)]
-    if suites[0] != suites[1]:
-        raise InvalidInputError(
-            f"runs of {', '.join(suites[0])} do not pair with runs of {', '.join(suites[1])}; "
-            "compare equal suites"
-        )
+    _require_same_suite(a, b)
     groups = by_planner(a, ()), by_planner(b, ())
     common = [name for name in groups[0] if name in groups[1]]
     if not common:
@@ -64,10 +83,51 @@ def compared(a: Rows, b: Rows) -> list[Compared]:
     return [_compared(name, groups[0][name], groups[1][name]) for name in common]
 
 
+def compared_sides(a: Side, b: Side) -> list[Compared]:
+    """Compare two runs, or two planners of one run or of two.
+
+    Raises:
+        UnknownChoiceError: a run has no rows of its planner.
+        InvalidInputError: as `compared`, or a planner is named on one side only.
+    """
+    rows = directory_rows(a.folder), directory_rows(b.folder)
+    if a.planner is None and b.planner is None:
+        return compared(*rows)
+    if a.planner is None or b.planner is None:
+        raise InvalidInputError(
+            f"one side names a planner, {a.planner or b.planner}, and the other does not; write "
+            "A:PLANNER B:PLANNER, or A B"
+        )
+    groups = [by_planner(own, ()) for own in rows]
+    for side, own in zip((a, b), groups, strict=True):
+        require_choice(f"planner in {side.folder}:", side.planner, own)
+    _require_same_suite(*rows)
+    name = a.planner if a.planner == b.planner else f"{a.planner} → {b.planner}"
+    return [_compared(name, groups[0][a.planner], groups[1][b.planner])]
+
+
+def against(rows: Rows, baseline: str) -> list[Compared]:
+    """Compare each planner of a run with one of them; UnknownChoiceError if it has no rows."""
+    groups = by_planner(rows, ())
+    require_choice("baseline", baseline, groups)
+    return [
+        _compared(name, groups[baseline], own) for name, own in groups.items() if name != baseline
+    ]
+
+
 def planners_of_one(a: Rows, b: Rows) -> tuple[list[str], list[str]]:
     """Return the planners that only A has, and those that only B has."""
     of_a, of_b = by_planner(a, ()), by_planner(b, ())
     return [name for name in of_a if name not in of_b], [name for name in of_b if name not in of_a]
+
+
+def _require_same_suite(a: Rows, b: Rows) -> None:
+    suites = [sorted({row.suite for row in rows}) for rows in (a, b)]
+    if suites[0] != suites[1]:
+        raise InvalidInputError(
+            f"runs of {', '.join(suites[0])} do not pair with runs of {', '.join(suites[1])}; "
+            "compare equal suites"
+        )
 
 
 def _compared(planner: str, a: Rows, b: Rows) -> Compared:
@@ -99,12 +159,17 @@ def named(pairs: Collection[Pair], most: int = 3) -> str:
 
 
 def comparison_lines(found: Sequence[Compared]) -> Lines:
-    """Return a line for each planner."""
-    changed = [f"{name} [%]" for name in COMPARED_VALUES]
+    """Return a line for each planner, without values that no run has, such as unknown work."""
+    names = [
+        name
+        for name in COMPARED_VALUES
+        if any(item.changes[name].estimate is not None for item in found)
+    ]
+    changed = [f"{name} [%]" for name in names]
     lines = [["planner", "runs", "left out of A, B", "solved A, B [%]", *changed, "same paths"]]
     for item in found:
-        solved = ", ".join(number(part.estimate) for part in item.solved)
-        changes = map(change, item.changes.values())
+        solved = ", ".join(map(estimate, item.solved))
+        changes = [change(item.changes[name]) for name in names]
         left_out = "{}, {}".format(*item.left_out)
         same = str(item.same_paths)
         lines.append([item.planner, str(item.pairs), left_out, solved, *changes, same])

@@ -116,6 +116,16 @@ def digests_in(record: Mapping[str, Any], field: str) -> dict[str, str]:
     return found
 
 
+def unlike_settings(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
+    """Return a line for each setting, and each digest of a name in both records, that differs."""
+    old, new = (json.loads(json.dumps(record["configuration"])) for record in (before, now))
+    for field in SESSION_DIGESTS:
+        known, used = digests_in(before, field), digests_in(now, field)
+        both = known.keys() & used.keys()
+        old[field], new[field] = ({name: x[name] for name in both} for x in (known, used))
+    return differences(old, new)
+
+
 @dataclass(frozen=True)
 class ProvenanceFile:
     """``provenance.json`` of a results directory: first session, later ones under ``continued``."""
@@ -168,16 +178,7 @@ class ProvenanceFile:
 
     def require_same(self, configuration: Mapping[str, object], session: Mapping[str, Any]) -> None:
         """Raise RunStoreError if the configuration, or a digest in both, differs from the file."""
-        record = self.read()
-        before = dict(record["configuration"])
-        now = json.loads(json.dumps(configuration))
-        for field in SESSION_DIGESTS:
-            known = digests_in(record, field)
-            used = session.get(field, {})
-            both = known.keys() & used.keys()
-            before[field] = {name: known[name] for name in both}
-            now[field] = {name: used[name] for name in both}
-        found = differences(before, now)
+        found = unlike_settings(self.read(), {**session, "configuration": configuration})
         if found:
             raise RunStoreError(
                 f"{self.directory} holds runs of another configuration ({'; '.join(found)}); use "

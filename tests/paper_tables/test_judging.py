@@ -1,11 +1,13 @@
 """The rule of verdicts on made and committed rows, measures, and the comparison of two runs."""
 
+import json
 import math
 from itertools import product
 from statistics import fmean
 
 import numpy as np
 import pytest
+from command_line import refused as one_line
 from made_rows import a_failure, a_results_folder, a_row
 from refusals import refused
 
@@ -312,6 +314,28 @@ def test_the_command_compares_two_directories(cvqmpt, tmp_path):
     assert "fails" not in cvqmpt(rules, *folders)
     *_, last = cvqmpt(rules, *reversed(folders), code=1).splitlines()
     assert last == "fails: birrt: time > 1.1, it is 2 times A's"
+
+
+def test_unlike_settings_come_first_and_rules_need_equal_budgets(cvqmpt, tmp_path, capsys):
+    folders = two_folders(tmp_path, {"birrt": 1.0}, {"birrt": 0.5})
+    path = folders[1] / "provenance.json"
+    record = json.loads(path.read_text())
+    record["configuration"]["cutoff_s"] = 2.0
+    path.write_text(json.dumps(record))
+    first, *_ = cvqmpt("compare", *folders).splitlines()
+    assert first == "unlike settings, from A to B: cutoff_s was 10.0, now 2.0"
+    assert "equal budgets" in one_line(capsys, "compare", *folders, "--fail-if", "time > 9")
+
+
+def test_any_two_planners_are_compared_from_one_folder_or_two(cvqmpt, tmp_path, capsys):
+    a, b = two_folders(tmp_path, {"birrt": 1.0, "mpnet": 0.5}, {"roadmap": 2.0})
+    assert "birrt → mpnet: less time, −50.0" in cvqmpt("compare", f"{a}:birrt", f"{a}:mpnet")
+    assert "mpnet → roadmap: more time, +300" in cvqmpt("compare", f"{a}:mpnet", f"{b}:roadmap")
+    assert "birrt, mpnet" in one_line(capsys, "compare", f"{a}:birrt", f"{a}:my:plan")
+    assert "A:PLANNER B:PLANNER" in one_line(capsys, "compare", f"{a}:birrt", b)
+    *_, head, line = cvqmpt("table", a, "--baseline", "mpnet").splitlines()
+    assert "solved A, B [%]" in head and line.startswith("birrt") and "+100 [100, 100]" in line
+    assert "birrt, mpnet" in one_line(capsys, "table", a, "--baseline", "roadmap")
 
 
 def test_planners_of_one_run_alone_are_named_and_must_not_be_missing_from_the_second(
