@@ -34,6 +34,7 @@ COMMANDS = {  # by name: NAME of the module cvqmpt_lab.cli.NAME_command, and a s
     "problems": ("problems", "list or export the problems of a suite, or write a template"),
     "scan": ("scan", "make a clean cloud or a scene from depth images or clouds"),
     "ik": ("problems", "find configurations for a pose or region, for a problem file"),
+    "fk": ("problems", "print the pose of the hand at a configuration"),
     "robot": (
         "robot",
         "print the model read from a robot's description, or list the robots known by name",

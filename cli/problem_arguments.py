@@ -87,7 +87,13 @@ def configuration(robot: Robot, option: str, text: str) -> np.ndarray:
 
 
 def name_file(args: argparse.Namespace) -> None:
-    """Store SUITE|FILE as --problem-file or --task-file if it is a file."""
+    """Store SUITE|FILE as --problem-file or --task-file if it is a file; refuse a URDF."""
+    for given in (args.suite, args.problem_file):
+        if given is not None and Path(given).suffix in (".urdf", ".xacro"):
+            raise InvalidInputError(
+                f"{given} is the description of a robot, not a problem; write one with: cvqmpt "
+                f"problems new mine.json --urdf {given}"
+            )
     if args.suite is None or args.suite in SUITES:
         return
     path = Path(args.suite)

@@ -261,7 +261,8 @@ SCAN: Options = {
 
 
 MOTION: Options = {
-    "one motion among the obstacles of --cloud or --scene, instead of a suite or a problem file": {
+    "one motion, in free space or among the obstacles of --cloud or --scene, instead of a suite or "
+    "a problem file": {
         "--start": option("configuration, numbers separated by commas [rad or m]", metavar="Q"),
         "--goal": option(
             "goal configuration; repeatable: the path ends at any of them", metavar="Q", **REPEATED

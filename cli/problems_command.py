@@ -1,6 +1,7 @@
 """`cvqmpt problems`: list or write a suite's problems, write a template, import or fetch others.
 
 `cvqmpt ik`: free configurations on the manifold for a pose or region, for a problem file.
+`cvqmpt fk`: pose of the hand at a configuration.
 """
 
 import argparse
@@ -12,6 +13,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from cvqmpt_lab.base.codec import from_plain, to_plain
 from cvqmpt_lab.base.errors import (
@@ -39,19 +41,26 @@ from cvqmpt_lab.cli.options import (
     SEED,
     Options,
     ProgressBar,
+    log,
     one_of,
     option,
     positive_int,
     writable_file,
 )
-from cvqmpt_lab.cli.problem_arguments import robot_source
+from cvqmpt_lab.cli.problem_arguments import (
+    chosen_robot,
+    configuration,
+    name_file,
+    robot_source,
+)
 from cvqmpt_lab.cli.problem_options import ROBOT, pose_region
 from cvqmpt_lab.constraints.goals import SAMPLE_MARGIN_M, find_in_region
-from cvqmpt_lab.constraints.named import Region
+from cvqmpt_lab.constraints.named import Region, upper_axis
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.planning.pipeline import with_drawn_goals
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import robot_from_source
+from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.robot.urdf import read_urdf
 from cvqmpt_lab.tasks.task import Task
 
@@ -96,6 +105,9 @@ def _new(args: argparse.Namespace) -> None:
     write_text(path.parent / schema, read_text(schemas / schema))
     for note in notes:
         print(note)
+    if kind == "problem":
+        problem = PlanningProblem.load(path)
+        print("\n".join(hand_lines(problem.robot, problem.start)))
     print(
         f"{path} written, and {schema} for editors; plan it with: cvqmpt plan --{kind}-file {path}"
     )
@@ -199,8 +211,44 @@ OPTIONS: Options = {
 }
 
 
+def fk(args: argparse.Namespace) -> None:
+    """Print the pose of each hand at a configuration."""
+    robot = chosen_robot(args)
+    q = configuration(robot, "Q", args.q)
+    if args.json:
+        poses = {hand: robot.pose(q, hand).tolist() for hand in robot.end_effectors}
+        print(json_text({"joints": list(robot.joint_names), "q": q.tolist(), "poses": poses}))
+    else:
+        print("\n".join(hand_lines(robot, q)))
+    outside = robot.joint_outside_limits(q)
+    if outside is not None:
+        log(f"joint {outside[0]} is outside its limits by {outside[1]:.4g} [rad or m]")
+
+
+def hand_lines(robot: Robot, q: np.ndarray) -> list[str]:
+    """Return a line on the pose of each hand at a configuration (n,), and its axis that is up."""
+    lines = []
+    for hand in robot.end_effectors:
+        T = robot.pose(q, hand)
+        angles = Rotation.from_matrix(T[:3, :3]).as_euler("xyz")
+        at, rpy = (
+            " ".join(f"{x:.4f}" for x in values.round(4) + 0.0) for values in (T[:3, 3], angles)
+        )
+        axis = upper_axis(T)
+        up = abs(T[2, "xyz".index(axis[-1])])
+        leans = np.degrees(np.arccos(min(up, 1.0)))
+        lines.append(
+            f"hand        {hand}: {at} m, roll pitch yaw {rpy} rad; its axis {axis} points up "
+            f"most, {leans:.1f} deg from the vertical"
+        )
+    return lines
+
+
 def ik(args: argparse.Namespace) -> int:
     """Sample and print configurations; return 1 if there is none."""
+    name_file(args)
+    if args.suite is not None or args.problem_file is None:
+        raise InvalidInputError(f"ik needs a problem file, P.json, not {args.suite or 'nothing'}")
     data = read_json_object(args.problem_file, "problem file")
     region = _region(args, data)
     data["robot"] = robot_source(args, args.problem_file) or data.get("robot")
@@ -249,12 +297,13 @@ def _region(args: argparse.Namespace, data: dict) -> TaskSpaceRegion:
 
 
 IK: Options = {
-    "--problem-file": option(
-        "robot, scene, constraint and attachments; start and goals may still be missing",
-        type=Path,
+    "suite": option(
+        "problem file: robot, scene, constraint and attachments; start and goals may still be "
+        "missing",
+        nargs="?",
         metavar="P.json",
-        required=True,
     ),
+    "--problem-file": option("the same", type=Path, metavar="P.json"),
     EXACTLY_ONE_OF: {
         "--pose": option(
             "end-effector pose in the world: [m], roll, pitch, yaw [rad]",
@@ -273,4 +322,9 @@ IK: Options = {
     "--json": option("print one json object", **FLAG),
     "another robot for --problem-file": ROBOT,
 }
-COMMANDS = {"problems": (run, OPTIONS), "ik": (ik, IK)}
+FK: Options = {
+    "q": option("configuration, or a group_state of the SRDF [rad or m]", metavar="Q"),
+    "--json": option("print one json object, with matrices", **FLAG),
+    "the robot (the panda)": ROBOT,
+}
+COMMANDS = {"problems": (run, OPTIONS), "ik": (ik, IK), "fk": (fk, FK)}

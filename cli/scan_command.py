@@ -173,23 +173,23 @@ def motion_problem(args: argparse.Namespace) -> PlanningProblem:
             "a motion needs --start Q or --start-pose X,Y,Z,R,P,Y, one of the two, and --goal Q or "
             "--goal-pose X,Y,Z,R,P,Y"
         )
-    if bool(args.cloud) == bool(args.scene):
-        raise InvalidInputError(
-            "--start and --goal need obstacles: give --cloud or --scene, one of the two"
-        )
+    if args.cloud and args.scene:
+        raise InvalidInputError("--cloud and --scene: give one of the two")
     robot = chosen_robot(args)
     start = _start(args, robot)
     goals = [configuration(robot, "--goal", text) for text in args.goal]
     constraint = tuple(_constraint(text, robot, start) for text in args.constraint)
     if args.scene is not None:
         scene = read_scene(args.scene)
+    elif not args.cloud:
+        scene = Scene("free space", ())
     else:
         arm = arm_of(args, robot, start)
         scene = scene_of(args, scanned(args, arm), robot, arm)
         refuse_touching(scene, Arm(robot, start))
     check_extent(scene, robot.reach, f"scene {args.scene}" if args.scene else "scan")
     return PlanningProblem(
-        (args.scene or args.cloud[0]).stem,
+        next((path.stem for path in (args.scene, *args.cloud) if path), "motion"),
         robot,
         scene,
         start=start,

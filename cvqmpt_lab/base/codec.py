@@ -205,7 +205,7 @@ class OneOrMore:
 
     def read(self, value: Any, where: str) -> tuple:
         """Return a tuple."""
-        if isinstance(value, Mapping):
+        if isinstance(value, Mapping | str):
             return (from_plain(self.kind, value, where),)
         return _tuple((self.kind, ...), False)(value, where)
 

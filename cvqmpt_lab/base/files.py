@@ -157,11 +157,28 @@ def read_json_object(path: Path, what: str = "file") -> dict[str, Any]:
 
 
 def json_object(text: str, what: str) -> dict[str, Any]:
-    """Return the JSON object of a text; see `json_value`."""
-    data = json_value(text, what)
+    """Return the JSON object of a text; comments and a comma after the last item are allowed."""
+    try:
+        data = json_value(text, what)
+    except InvalidInputError:
+        plain = _without_comments(text)
+        if plain == text:
+            raise
+        data = json_value(plain, what)
     if not isinstance(data, dict):
         raise InvalidInputError(f"{what} must hold one json object")
     return data
+
+
+def _without_comments(text: str) -> str:
+    """Return JSON text with spaces for comments (//, /* */, #) and commas after a last item."""
+
+    def blank(found: re.Match[str]) -> str:
+        return found[0] if found[0][0] == '"' else re.sub(r"[^\n]", " ", found[0])
+
+    string = r'"(?:\\.|[^"\\\n])*"'
+    text = re.sub(rf"{string}|//[^\n]*|#[^\n]*|/\*(?s:.*?)\*/", blank, text)
+    return re.sub(rf"{string}|,(?=\s*[\]}}])", blank, text)
 
 
 def json_value(text: str, what: str) -> Any:

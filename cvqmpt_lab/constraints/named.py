@@ -4,6 +4,7 @@ A new name is a function that returns a region, here or in a file of its own, an
 `NAMED_REGIONS`.
 """
 
+import json
 from collections.abc import Mapping
 from typing import Annotated, Any, get_args
 
@@ -170,6 +171,16 @@ class RegionForm:
         """Return the region of a json value."""
         if isinstance(value, TaskSpaceRegion):
             return value
+        if isinstance(value, str):
+            require_choice(where, value, NAMED_REGIONS)
+            examples = {
+                "plane": {"normal": [0, 0, 1], "point": [0.4, 0.0, 0.5], "tolerance": 0.01},
+                "line": {"direction": [0, 1, 0], "point": [0.4, 0.0, 0.5], "tolerance": 0.01},
+                "pose": {"at": {"xyz": [0.4, 0.0, 0.5], "rpy": [3.14, 0.0, 0.0]}},
+                "relative-pose": {"base": "HAND", "at": {"xyz": [0.0, 0.4, 0.0]}},
+            }
+            filled = json.dumps({value: examples.get(value, 0.1)})
+            raise InvalidInputError(f"{where} is {shown(value)}, a name alone; write {filled}")
         full = field_kinds(TaskSpaceRegionChain)
         keys = [key for key in mapping(value, where, ", ".join(full)) if key != "_comment"]
         unknown = next((key for key in keys if key not in (*full, *NAMED_REGIONS)), None)

@@ -1,6 +1,7 @@
 """Source of a robot, the field "robot" of a problem file; table of the arms that have a name."""
 
 import hashlib
+import importlib
 import os
 import re
 import stat
@@ -19,7 +20,7 @@ from cvqmpt_lab.base.codec import from_plain
 from cvqmpt_lab.base.errors import InvalidInputError, UnknownChoiceError, located, mapping, unique
 from cvqmpt_lab.base.poses import Pose
 from cvqmpt_lab.base.values import FloatArray, numbers
-from cvqmpt_lab.robot.urdf import collada_unit
+from cvqmpt_lab.robot.urdf import collada_unit, read_urdf
 
 
 class PerJoint:
@@ -118,6 +119,8 @@ def read_source(source: Mapping[str, Any]) -> RobotSource:
             f"robot.tool belongs to one end effector: give one of {', '.join(given.end_effectors)}"
             " as 'end_effector'"
         )
+    if given.name.startswith("rd:") and not given.urdf:
+        given = _of_descriptions(given)
     if given.name and given.urdf:
         raise InvalidInputError("robot has 'name' and 'urdf': give one of the two")
     if given.name:
@@ -136,6 +139,32 @@ def read_source(source: Mapping[str, Any]) -> RobotSource:
     return replace(given, end_effectors=given.end_effectors or (given.end_effector,))
 
 
+def _of_descriptions(given: RobotSource) -> RobotSource:
+    """Return the source of rd:NAME, a robot of the package robot_descriptions, with its URDF."""
+    name = given.name.removeprefix("rd:")
+    try:
+        module = importlib.import_module(f"robot_descriptions.{name}_description")
+    except ModuleNotFoundError as error:
+        raise InvalidInputError(
+            f"robot {given.name!r} is not found ({error}): pip install robot_descriptions; its "
+            "command robot_descriptions list prints the names, such as rd:piper"
+        ) from error
+    except Exception as error:  # the package downloads files that are missing, in its own ways
+        said = " ".join(str(error).split())
+        raise InvalidInputError(
+            f"files of robot {given.name!r} are not there: {said}; give a URDF, --urdf"
+        ) from error
+    path = getattr(module, "URDF_PATH", "")
+    if not path:
+        raise InvalidInputError(
+            f"robot {given.name!r} has no URDF; expand its {getattr(module, 'XACRO_PATH', 'files')}"
+            " and give it as --urdf"
+        )
+    packages = (*given.package_dirs, getattr(module, "PACKAGE_PATH", str(Path(path).parent)))
+    hand = given.end_effector or read_urdf(Path(path)).likely_end_effectors()[0]
+    return replace(given, name="", urdf=path, end_effector=hand, package_dirs=packages)
+
+
 def _of_arm(given: RobotSource) -> RobotSource:
     """Return the source of a named arm; fields of `given` replace those of `ARMS`."""
     ros_package = ARMS_IN_ROS_PACKAGES.get(given.name.lower().replace("-", "").replace("_", ""))
@@ -143,7 +172,7 @@ def _of_arm(given: RobotSource) -> RobotSource:
         raise InvalidInputError(
             f"robot {given.name!r} is not in the package {ROBOT_DATA}: its URDF comes with "
             f"ROS's {ros_package}; give its file as --urdf, or 'urdf' and 'end_effector' in a "
-            "problem file"
+            "problem file; or pip install robot_descriptions, which has many arms as rd:NAME"
         )
     name = ALIASES.get(given.name, given.name)
     if name not in ARMS:

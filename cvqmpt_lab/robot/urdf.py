@@ -119,7 +119,8 @@ def read_urdf(path: Path) -> Urdf:
     if expressions:
         raise InvalidInputError(
             f"{invalid}: it has unexpanded elements of xacro, such as "
-            f"<{expressions[0]}>; expand it: xacro {path.name} > expanded.urdf"
+            f"<{expressions[0]}>; expand it: xacro {path.name} > expanded.urdf, or without ROS: "
+            f"pip install xacrodoc; xacrodoc {path.name} -o expanded.urdf"
         )
     if not root.get("name"):
         raise InvalidInputError(f"{invalid}: its <robot> has no name")

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from jsonschema import Draft202012Validator
+from refusals import refused
 
 from cvqmpt_lab.planning.pipeline import with_drawn_goals
 from cvqmpt_lab.problem import PlanningProblem, check_problem
@@ -80,6 +81,20 @@ def test_configurations_reach_the_pose_free_of_collision_on_the_manifold(mine, c
         np.testing.assert_allclose(problem.robot.pose(q)[:3, 3], (-0.3, 0.5, 0.3), atol=1e-5)
         assert not problem.collision_checker().in_collision(q)
         assert not problem.manifold.residual(q).any()
+
+
+def test_a_file_with_comments_is_read_and_the_command_line_says_where_the_hand_is(
+    tmp_path, mine, cvqmpt
+):
+    text = mine.read_text().replace("{", "{ // the // panda", 1).replace("\n}", ",\n /* end */ }")
+    mine.write_text(text)
+    problem = PlanningProblem.load(mine)
+    told = cvqmpt("fk", ",".join(map(str, problem.start)))
+    at = " ".join(f"{x:.4f}" for x in problem.robot.pose(problem.start)[:3, 3].round(4) + 0.0)
+    assert f"panda_hand: {at} m" in told and "points up most" in told
+    assert told.strip() in cvqmpt("problems new", tmp_path / "other.json")
+    mine.write_text(text.replace('"name"', '"name",,', 1))
+    refused("is not json", PlanningProblem.load, mine)
 
 
 def test_postures_of_a_pose_differ_by_more_than_whole_turns(tmp_path, mine, cvqmpt):
