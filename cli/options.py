@@ -58,6 +58,7 @@ positive_int = _number(int, lambda x: x >= 1, "a whole number of 1 or more")
 not_negative_int = _number(int, lambda x: x >= 0, "a whole number of 0 or more")
 positive = _number(float, lambda x: x > 0, "a positive number")
 not_negative = _number(float, lambda x: x >= 0, "a number of 0 or more")
+rate = _number(float, lambda x: 1.0 <= x <= 1000.0, "a rate from 1 to 1000 Hz")
 SEED: Options = {
     "--seed": option("seed of all randomness (0)", type=not_negative_int, default=0, metavar="S")
 }

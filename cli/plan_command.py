@@ -14,6 +14,7 @@ from cvqmpt_lab.cli.options import (
     not_negative_int,
     option,
     picture_file,
+    rate,
     writable_file,
 )
 from cvqmpt_lab.cli.problem_options import (
@@ -93,6 +94,12 @@ OPTIONS: Options = {
         "folder with one file for each phase",
         type=Path,
         metavar="OUT.csv|OUT.json|DIR",
+    ),
+    "--rate": option(
+        "write this many states of --trajectory a second, or a few more, evenly in time, and "
+        "certify the motion between them (as few as the motion needs)",
+        type=rate,
+        metavar="HZ",
     ),
     "--speed": option(
         "fraction of the joint limits that --trajectory uses (0.1)", type=float, metavar="FACTOR"

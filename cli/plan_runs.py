@@ -10,6 +10,7 @@ import re
 import signal
 import sys
 import threading
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -40,6 +41,7 @@ from cvqmpt_lab.tasks.task import Task
 
 if TYPE_CHECKING:
     from cvqmpt_lab.tasks.solve import TaskSolution
+    from cvqmpt_lab.trajectory.trajectory import Trajectory
 
 
 def run(args: argparse.Namespace) -> int:
@@ -47,6 +49,8 @@ def run(args: argparse.Namespace) -> int:
     item = _problem_or_task(args)
     if args.speed is not None and args.trajectory is None and not isinstance(item, Task):
         raise InvalidInputError(f"--speed {args.speed} goes with --trajectory OUT.csv; give it")
+    if args.rate is not None and args.trajectory is None:
+        raise InvalidInputError(f"--rate {args.rate:g} goes with --trajectory OUT.csv; give it")
     args.speed = SLOW_SPEED if args.speed is None else args.speed
     if isinstance(item, Task):
         solution, report = _solved_task(args, item)
@@ -137,7 +141,7 @@ def _solved_task(
     solution = solve_task(task, method, budget(args), args.seed, timing, args.backend, margin)
     if args.json:
         return solution, task_data(solution, planner)
-    return solution, task_lines(solution, planner)
+    return solution, task_lines(solution, planner, args.speed)
 
 
 def _problem_or_task(args: argparse.Namespace) -> PlanningProblem | Task:
@@ -177,6 +181,7 @@ def _write_trajectory(args: argparse.Namespace, solution: Solution) -> str:
         return "trajectory  none: only certified paths are timed"
     timing = TimingSettings(speed=args.speed)
     motion = certified_motion(solution.problem, solution.path, timing)
+    motion = _at_rate(args.rate, solution.problem, motion)
     save_trajectory(motion, args.trajectory)
     return (
         f"trajectory  {motion.duration:.2f} s at {args.speed:g} of the joint limits, at most "
@@ -201,7 +206,11 @@ def _write_trajectories(args: argparse.Namespace, solution: "TaskSolution") -> s
         step = event_of(phase)
         if outcome is not None and outcome.arm_trajectory is not None:
             name = f"{k:02d}-{re.sub('[^A-Za-z0-9_.-]', '-', phase.name)}.json"
-            save_trajectory(outcome.arm_trajectory, args.trajectory / name)
+            assert outcome.trajectory is not None
+            sampled = _at_rate(args.rate, outcome.solution.problem, outcome.trajectory)
+            motion = replace(outcome, trajectory=sampled).arm_trajectory
+            assert motion is not None
+            save_trajectory(motion, args.trajectory / name)
             step |= {"file": name, "duration_s": outcome.arm_trajectory.duration}
         steps.append(step)
     index = args.trajectory / "task.json"
@@ -211,6 +220,24 @@ def _write_trajectories(args: argparse.Namespace, solution: "TaskSolution") -> s
     events = f"{len(steps) - files} gripper events"
     unlimited = _not_limited(robot_from_source(solution.task.robot))
     return f"trajectory  {files} files and {events}, in order in {index}{unlimited}"
+
+
+def _at_rate(rate: float | None, problem: PlanningProblem, motion: "Trajectory") -> "Trajectory":
+    """Return a motion with at least `rate` states a second [Hz], certified; None: as it is."""
+    if rate is None:
+        return motion
+    from cvqmpt_lab.certificate.motion_check import dry_run
+    from cvqmpt_lab.trajectory.trajectory import Motion
+
+    sampled = motion.sampled(1.0 / rate)
+    states = sampled.positions, sampled.times, sampled.velocities, sampled.accelerations
+    reasons = dry_run(problem, Motion(sampled.joint_names, *states)).certificate.reasons
+    if reasons:
+        raise InvalidInputError(
+            f"--rate {rate:g}: the motion between these states is not certified: "
+            f"{'; '.join(reasons)}; give a higher rate, or leave it out"
+        )
+    return sampled
 
 
 def _not_limited(robot: Robot) -> str:

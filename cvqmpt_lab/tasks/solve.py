@@ -309,8 +309,9 @@ def task_data(solution: TaskSolution, planner: str) -> dict[str, Any]:
     }
 
 
-def task_lines(solution: TaskSolution, planner: str) -> list[str]:
-    """Lines of the report on the command line."""
+def task_lines(solution: TaskSolution, planner: str, speed: float) -> list[str]:
+    """Lines of the report on the command line; speed: fraction of the joint limits."""
+    at_speed = f"at {speed:g} of the limits"
     lines = [f"task        {solution.task.name}, planner {planner}"]
     planning = execution = 0.0
     for outcome in solution.outcomes:
@@ -328,8 +329,11 @@ def task_lines(solution: TaskSolution, planner: str) -> list[str]:
             line += f" in {len(outcome.attempts)} attempts"
         if outcome.trajectory is not None:
             execution += outcome.trajectory.duration
-            line += f", certified, {outcome.trajectory.duration:.1f} s of motion"
+            line += f", certified, {outcome.trajectory.duration:.1f} s of motion {at_speed}"
         lines.append(line + (f" ({outcome.fallback})" if outcome.fallback else ""))
     if solution.solved:
-        return [*lines, f"solved      planning {planning:.2f} s, execution {execution:.1f} s"]
+        return [
+            *lines,
+            f"solved      planning {planning:.2f} s, execution {execution:.1f} s {at_speed}",
+        ]
     return [*lines, f"FAILED      {solution.failure}"]

@@ -30,7 +30,10 @@ def test_motions_of_a_new_problem_and_task_need_no_limits_on_the_command_line(tm
     path, motion, task = (tmp_path / name for name in ("mine.json", "motion.json", "door.json"))
     told = cvqmpt("problems new --robot ur5", path)
     assert "acceleration_limits are a guess, the limit of velocity in 0.5 s" in told
-    cvqmpt(f"plan --problem-file {path} --trajectory {motion} --speed 0.1")
+    cvqmpt(f"plan --problem-file {path} --trajectory {motion} --speed 0.1 --rate 100")
+    times = [point["time_from_start"] for point in json.loads(motion.read_text())["points"]]
+    seconds = np.array([time["sec"] + 1e-9 * time["nanosec"] for time in times])
+    assert np.ptp(np.diff(seconds)) < 1e-6 and 0.005 < np.diff(seconds).max() < 0.01 + 1e-6
     assert "certified   yes" in cvqmpt(f"certify {motion} --problem-file {path}")
     start = json.loads(motion.read_text())["points"][0]["positions"]
     current = ["--current", " ".join(map(str, start))]
