@@ -2,24 +2,34 @@
 
 import argparse
 import json
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated, Any
 
 import numpy as np
 
+from cvqmpt_lab.base.codec import from_plain
 from cvqmpt_lab.base.errors import InvalidInputError
+from cvqmpt_lab.base.files import read_json_object
+from cvqmpt_lab.base.values import Array, FloatArray
 from cvqmpt_lab.certificate.motion_check import dry_run
 from cvqmpt_lab.certificate.record import record, report_lines
 from cvqmpt_lab.cli.options import FLAG, Options, log, numbers, option, positive, refuse_given
 from cvqmpt_lab.cli.problem_arguments import chosen_problem, robot_source
 from cvqmpt_lab.cli.problem_options import PROBLEM, ROBOT
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.trajectory.trajectory import read_motion
+from cvqmpt_lab.tasks.task import Task
+from cvqmpt_lab.tasks.world import phase_problems
+from cvqmpt_lab.trajectory.trajectory import Motion, read_motion
 
 
 def run(args: argparse.Namespace) -> int:
     """Certify and print; return 1 if anything is refused or not proven."""
+    if (args.path / "task.json").is_file():
+        return _certify_task(args)
     if args.path.is_dir():
-        of_file = (args.suite, args.problem_file, args.current, args.clearance)
+        of_file = (args.suite, args.problem_file, args.task_file, args.current, args.clearance)
         if any(given is not None for given in of_file) or robot_source(args):
             raise InvalidInputError(
                 "the rows of a run name their problems and robots; give the directory alone"
@@ -31,13 +41,90 @@ def run(args: argparse.Namespace) -> int:
     problem = chosen_problem(args)
     if not isinstance(problem, PlanningProblem):
         raise InvalidInputError(
-            f"suite {args.suite} has tasks; certify the directory of a run, or one problem"
+            f"{args.suite or args.task_file} is a task; certify the directory of a run, the folder "
+            "that plan --trajectory wrote for a task, or one problem"
         )
     found = dry_run(problem, motion, args.current, args.tolerance, exact_clearance=True)
     contents = record(problem, motion, found)
     lines = report_lines(found, contents)
     print(json.dumps(contents, indent=1, allow_nan=False) if args.json else "\n".join(lines))
     return 0 if found.certificate.valid else 1
+
+
+def _certify_task(args: argparse.Namespace) -> int:
+    """Certify the motions of all phases of a task, in a folder of plan --trajectory."""
+    refuse_given(args, ["problems_dir"], "goes with the directory of a run; leave it out")
+    if args.current is not None:
+        raise InvalidInputError("--current goes with one motion; a task states where it begins")
+    task = chosen_problem(args)
+    if not isinstance(task, Task):
+        raise InvalidInputError(f"{args.path} has the motions of a task, {task.name} is a problem")
+    task, index = task.in_legs, args.path / "task.json"
+    steps = from_plain(_Index, read_json_object(index, "index"), str(index)).steps
+    files = {str(step["phase"]): step for step in steps if "file" in step and "phase" in step}
+    names = [phase.name for _, phase in task.planned]
+    if list(files) != names:
+        raise InvalidInputError(
+            f"{index} has motions of {', '.join(files) or 'no phase'}; task {task.name} has "
+            f"{', '.join(names)}: give the task that was planned"
+        )
+    motions = [_motion_of(args.path, files[name], index) for name in names]
+    problems = phase_problems(task, [motion.positions for motion in motions])
+    records, lines = [], list[str]()
+    for problem, motion in zip(problems, motions, strict=True):
+        found = dry_run(problem, motion, exact_clearance=True)
+        records.append(record(problem, motion, found))
+        kept = ("certified", "fault", "clearance")
+        lines += [line for line in report_lines(found, records[-1]) if line.startswith(kept)]
+    valid = sum(contents["valid"] for contents in records)
+    whole = valid == len(records)
+    seconds = sum(float(motion.times[-1]) for motion in motions if motion.times is not None)
+    lines.append(
+        f"task        {valid} of {len(records)} phases of {task.name} are certified, {seconds:.2f} "
+        "s of motion"
+    )
+    told = json.dumps({"valid": whole, "phases": records}, indent=1, allow_nan=False)
+    print(told if args.json else "\n".join(lines))
+    return 0 if whole else 1
+
+
+@dataclass(frozen=True)
+class _Index:
+    """Index of the motions of a task."""
+
+    task: str
+    speed: float
+    steps: tuple[Mapping[str, Any], ...]  # phases in order; planned ones name a file
+
+
+@dataclass(frozen=True, eq=False)
+class _Held:
+    """Motion of a door or drawer in the hand."""
+
+    joint: str
+    positions: Annotated[FloatArray, Array((None,))]  # (m,) [rad or m]
+    velocities: Annotated[FloatArray, Array((None,))]  # (m,) [rad/s or m/s]
+    accelerations: Annotated[FloatArray, Array((None,))]  # (m,) [rad/s^2 or m/s^2]
+
+
+def _motion_of(folder: Path, step: Mapping[str, Any], index: Path) -> Motion:
+    """Return the motion of a step of the index, with that of the door in the hand."""
+    motion = read_motion(folder / str(step["file"]))
+    if "held" not in step:
+        return motion
+    where = f"{index}: steps of phase {step['phase']}: held"
+    held = from_plain(_Held, step["held"], where)
+    columns = held.positions, held.velocities, held.accelerations
+    if any(len(column) != len(motion.positions) for column in columns):
+        raise InvalidInputError(f"{where} has another number of states than {step['file']}")
+    kinds = motion.positions, motion.velocities, motion.accelerations
+    joined = [
+        None if kind is None else np.column_stack([kind, column])
+        for kind, column in zip(kinds, columns, strict=True)
+    ]
+    assert joined[0] is not None
+    names = None if motion.joint_names is None else (*motion.joint_names, held.joint)
+    return Motion(names, joined[0], motion.times, *joined[1:])
 
 
 def _certify_run(directory: Path, problems_dir: Path | None, as_json: bool) -> int:
@@ -63,11 +150,15 @@ def _certify_run(directory: Path, problems_dir: Path | None, as_json: bool) -> i
 
 OPTIONS: Options = {
     "path": option(
-        "states, or a trajectory, whose limits are checked too; or the directory of a run",
+        "states, or a trajectory, whose limits are checked too; the directory of a run; or the "
+        "folder of a task's motions",
         type=Path,
         metavar="PATH.csv|PATH.json|DIR",
     ),
     **PROBLEM,
+    "--task-file": option(
+        "the task of a folder of motions that plan --trajectory wrote", type=Path, metavar="T.json"
+    ),
     "another robot for --problem-file": ROBOT,
     "--problems-dir": option(
         "folder of the problem files, for the directory of a run of them", type=Path, metavar="DIR"

@@ -212,6 +212,10 @@ def _write_trajectories(args: argparse.Namespace, solution: "TaskSolution") -> s
             assert motion is not None
             save_trajectory(motion, args.trajectory / name)
             step |= {"file": name, "duration_s": outcome.arm_trajectory.duration}
+            if len(sampled.joint_names) > len(motion.joint_names):
+                kinds = ("positions", "velocities", "accelerations")
+                columns = {kind: getattr(sampled, kind)[:, -1].tolist() for kind in kinds}
+                step["held"] = {"joint": sampled.joint_names[-1], **columns}
         steps.append(step)
     index = args.trajectory / "task.json"
     text = json.dumps({"task": solution.task.name, "speed": args.speed, "steps": steps}, indent=1)

@@ -136,9 +136,7 @@ def solve_task(
     method = planner_named(method) if isinstance(method, str) else method
     require_kind("method", method, Method, "or the name of a planner")
     timing = timing or TimingSettings()
-    legs = (phase.legs if isinstance(phase, Move) else (phase,) for phase in task.phases)
-    task = task.changed(phases=tuple(leg for several in legs for leg in several))
-    return _Run(task, method, budget, seed, timing, backend, margin.check()).solve()
+    return _Run(task.in_legs, method, budget, seed, timing, backend, margin.check()).solve()
 
 
 @dataclass(eq=False)

@@ -207,6 +207,12 @@ class Task(Document):
         return task
 
     @property
+    def in_legs(self) -> Task:
+        """The task with one move to each region at which a move stops, see `Move.legs`."""
+        legs = (phase.legs if isinstance(phase, Move) else (phase,) for phase in self.phases)
+        return self.changed(phases=tuple(leg for several in legs for leg in several))
+
+    @property
     def planned(self) -> list[tuple[tuple[HandPhase, ...], PlannedPhase]]:
         """The planned phases in order, each with the hand phases that directly precede it."""
         found, before = [], list[HandPhase]()

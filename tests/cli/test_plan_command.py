@@ -1,6 +1,7 @@
 """`cvqmpt plan`: a report and a path of a problem, the phases of a task, and refused options."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -111,6 +112,11 @@ def test_a_new_task_is_planned_into_a_file_a_phase_and_the_events_between(tmp_pa
                 robot, region = robot_from_source(task.robot), task.phases[-1].through[0]
                 off = displacements(robot, region, q[None])[0]
                 assert np.abs(off[:3]).max() <= 0.0201 and np.abs(off[3:]).max() < 1e-3
+    said = cvqmpt("certify", folder, path)
+    assert "6 of 6 phases of drawer are certified" in said and said.count("certified   yes") == 6
+    shutil.copy(folder / index[1]["file"], folder / index[0]["file"])
+    said = cvqmpt("certify", folder, path, code=1)
+    assert "4 of 6 phases" in said and "certified   NO" in said
 
 
 def test_json_holds_the_record_that_certify_prints(tmp_path, cvqmpt):
