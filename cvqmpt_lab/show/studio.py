@@ -1,8 +1,9 @@
-"""Page in the browser on which start, goal and obstacles are dragged, and the path follows.
+"""Page in the browser on which start, goal and obstacles are moved, and the path follows.
 
 The only module that imports viser, which serves the page. All tabs of the page show the same state.
 """
 
+import html
 import logging
 import re
 import socket
@@ -38,8 +39,10 @@ from cvqmpt_lab.planning.planners import PLANNERS, default_planner, planner_name
 from cvqmpt_lab.planning.solution import Solution
 from cvqmpt_lab.planning.warm_up import warm_up
 from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.search.result import Budget, JointPath
 from cvqmpt_lab.show.bodies import (
+    Body,
     drawing_of_problem,
     mesh_in_view,
     mesh_of,
@@ -47,7 +50,7 @@ from cvqmpt_lab.show.bodies import (
     scene_bodies,
 )
 from cvqmpt_lab.show.drawn_hands import sampled_hands
-from cvqmpt_lab.show.meshes import Colour
+from cvqmpt_lab.show.meshes import Colour, shape_mesh
 from cvqmpt_lab.show.picture import png_of
 from cvqmpt_lab.show.raster import clear_viewpoint
 from cvqmpt_lab.show.studio_guard import Guard, is_choice, is_number, is_switch
@@ -111,6 +114,11 @@ class Studio:
         held = problem.closed_chain  # two hands on one object keep hold of it in any case
         self.constraints = {"own": problem.constraint, "upright": (*held, standing), "none": held}
         self.on_response: Callable[[Response], None] = lambda response: None  # in planning thread
+        # objects that move together: those whose names are alike up to the first "/"
+        self.groups: dict[str, list[SceneObject]] = {}
+        for item in problem.scene:
+            self.groups.setdefault(item.name.partition("/")[0], []).append(item)
+        self._past: list[Request] = []  # what `undo` goes back to, the last one first
         self.request = Request(0, planner)  # the newest one
         self.response = Response(Request(-1, planner), problem)  # the newest one
         self._changed, self._stopped = threading.Condition(), False
@@ -126,10 +134,32 @@ class Studio:
         return self.submit(start=from_plain(Pose, T, "start"))
 
     def move_obstacle(self, name: str, T: np.ndarray) -> int:
-        """Move a scene object to a pose (4, 4) [m]; returns the number of the request."""
-        moved = {self.problem.scene[name].name: from_plain(Pose, T, f"obstacle {name!r}")}
+        """Move a scene object, or one of `groups` by the pose of its first object.
+
+        T: pose (4, 4) [m].
+
+        Returns the number of the request.
+        """
+        first, *others = self.groups.get(name) or [self.problem.scene[name]]
+        T = from_plain(Pose, T, f"obstacle {name!r}")
+        shift = T @ np.linalg.inv(first.T_world_object)
+        moved = {first.name: T, **{it.name: shift @ it.T_world_object for it in others}}
         with self._changed:
             return self.submit(moved={**self.request.moved, **moved})
+
+    def remember(self) -> None:
+        """Keep the present poses of start, goal and obstacles for `undo`."""
+        self._past.append(self.request)
+
+    def undo(self) -> int:
+        """Go back to the poses that were remembered last; returns the number of the request."""
+        last = self._past.pop() if self._past else self.request
+        return self.submit(start=last.start, goal=last.goal, moved=last.moved)
+
+    def reset(self) -> int:
+        """Go back to the problem's poses, which `undo` reverts; returns the request's number."""
+        self.remember()
+        return self.submit(start=None, goal=None, moved={})
 
     def set_planner(self, name: str) -> int:
         """Change to another one of `planners`; returns the number of the request."""
@@ -298,7 +328,8 @@ class StudioPage:
         self.live, self.server = live, server
         # who knows the address may read and change everything
         self.address = f"http://127.0.0.1:{server.get_port()}/{guard.token}"
-        self._nodes: dict[str, tuple[Any, Any]] = {}  # mesh and node of the scene by name
+        self._guard, self._drawing = guard, threading.RLock()  # one thread draws at a time
+        self._nodes: dict[str, tuple[Body, Any]] = {}  # bodies and nodes of the scene by name
         self._moving: list[tuple[Any, np.ndarray]] = []  # nodes, and their poses along the path
         self._points: list[Any] = []  # nodes of `sampled_hands`
         self._dragged: set[str] = set()  # names of the gizmos that the user is dragging
@@ -308,7 +339,8 @@ class StudioPage:
         # no share button and no answer to its request, which would open a public address
         server.request_share_url = lambda verbose=True: None
         gui.configure_theme(show_logo=False, show_share_button=False)
-        self._text = gui.add_markdown("planning ...")
+        gui.main_panel.dock_right()  # beside the view, not over it
+        self._state = gui.add_html("planning ...")
 
         def choice(label: str, names: tuple[str, ...]) -> Any:
             element = gui.add_dropdown(label, names)
@@ -319,28 +351,38 @@ class StudioPage:
             guard.values[element._impl.uuid] = is_switch
             return element
 
-        planner = choice("planner", live.planners)
-        planner.on_update(lambda event: live.set_planner(event.target.value))
-        constraint = choice("constraint", tuple(live.constraints))
-        constraint.on_update(lambda event: live.set_constraint(event.target.value))
-        self._obstacle = choice("drag an obstacle", ("none", *problem.scene.names))
-        self._obstacle.on_update(self._choose_obstacle)
+        gui.add_markdown("Click the goal, the start or an obstacle, and drag its handles.")
+        self._chosen = choice("move", ("goal", "start", *live.groups))
+        self._chosen.on_update(lambda event: self._mark_chosen())
+        switch(gui.add_button("undo")).on_click(lambda event: live.undo())
+        switch(gui.add_button("reset")).on_click(lambda event: live.reset())
         self._slider = gui.add_slider("along the path", 0.0, 1.0, 0.01, 0.0)
         guard.values[self._slider._impl.uuid] = partial(is_number, least=0.0, most=1.0)
         self._slider.on_update(lambda event: self._pose_robot())
         switch(gui.add_button("play")).on_click(self._play)
-        for name in ("start", "goals", "path", "constraint", "search", "cloud", "Gaussians"):
-            slow = name in ("search", "cloud", "Gaussians")
-            self._layers[name] = switch(gui.add_checkbox(f"show {name}", not slow))
-            self._layers[name].on_update(lambda event: live.submit())  # redraws the page
-        for kind in ("problem", "page", "picture", "trajectory"):
-            switch(gui.add_button(f"save {kind}")).on_click(partial(self._save, kind))
+        planner = choice("planner", live.planners)
+        planner.on_update(lambda event: live.set_planner(event.target.value))
+        constraint = choice("constraint", tuple(live.constraints))
+        constraint.on_update(lambda event: live.set_constraint(event.target.value))
+        with gui.add_folder("details", expand_by_default=False):
+            self._text = gui.add_markdown("planning ...")
+        with gui.add_folder("layers", expand_by_default=False):
+            self._legend = gui.add_html("")
+            for name in ("start", "goals", "path", "constraint", "search", "cloud", "Gaussians"):
+                slow = name in ("search", "cloud", "Gaussians")
+                self._layers[name] = switch(gui.add_checkbox(f"show {name}", not slow))
+                self._layers[name].on_update(lambda event: self._show(live.response))
+        with gui.add_folder("save", expand_by_default=False):
+            for kind in ("problem", "page", "picture", "trajectory"):
+                switch(gui.add_button(f"save {kind}")).on_click(partial(self._save, kind))
         for name in ("start", "goal", "obstacle"):
-            gizmo = server.scene.add_transform_controls(f"/drag {name}", 0.2 * problem.robot.reach)
+            gizmo = server.scene.add_transform_controls(
+                f"/drag {name}", 0.2 * problem.robot.reach, depth_test=False
+            )
             guard.gizmos.add(gizmo.name)
-            gizmo.visible = name != "obstacle"
             gizmo.on_update(partial(self._drag, name))
             self._gizmos[name] = gizmo
+        self._mark_chosen()
         robot = robot_bodies(problem, problem.start[None])
         still = mesh_of(scene_bodies(problem.scene))
         torso = mesh_of(body for body in robot if body.torso)
@@ -348,6 +390,7 @@ class StudioPage:
         # from farther away, so that goal and gizmos are in the picture too
         server.initial_camera.position = 2.2 * np.subtract(view.eye, view.target) + view.target
         server.initial_camera.look_at, server.initial_camera.fov = view.target, view.height_angle
+        server.on_client_connect(self._fit_phone)
         live.on_response = self._show
         live.submit()  # the first response may have come before the page existed
 
@@ -362,10 +405,24 @@ class StudioPage:
         self.live.stop()
         self.server.stop()
 
+    def _fit_phone(self, client: Any) -> None:
+        """Show the scene smaller and above the panel if the screen is upright."""
+        if client.camera.aspect < 1.0:
+            start = self.server.initial_camera
+            away = np.subtract(start.position, start.look_at) / max(client.camera.aspect, 0.3)
+            height = 2.0 * np.tan(0.5 * start.fov) * np.linalg.norm(away)  # of the view [m]
+            middle = start.look_at - np.array([0.0, 0.0, 0.2 * height])
+            with client.atomic():  # a new position moves the point that is looked at
+                client.camera.position = middle + away
+                client.camera.look_at = middle
+
     def _save(self, kind: str, event: Any) -> None:
         """Send a file to the tab whose button was pressed."""
         try:
-            event.client.send_file_download(*self.live.saved(kind), save_immediately=True)
+            name, content = self.live.saved(kind)
+            event.client.send_file_download(name, content, save_immediately=True)
+            said = f"{name} is in the folder of this browser's downloads"
+            event.client.add_notification(f"{kind} saved", said, color="green")
         except CvqmptError as error:
             event.client.add_notification(f"{kind} not saved", str(error), color="red")
 
@@ -380,6 +437,8 @@ class StudioPage:
         if event.phase == "end":
             self._dragged.discard(name)
         else:
+            if name not in self._dragged:
+                self.live.remember()
             self._dragged.add(name)
         w, x, y, z = event.target.wxyz.tolist()
         a, b, c = event.target.position.tolist()
@@ -389,18 +448,38 @@ class StudioPage:
         elif name == "goal":
             self.live.move_goal(T)
         else:
-            self.live.move_obstacle(self._obstacle.value, T)
+            self.live.move_obstacle(self._chosen.value, T)
 
-    def _choose_obstacle(self, event: Any) -> None:
-        """Move the gizmo of obstacles to the chosen one."""
-        name, gizmo = event.target.value, self._gizmos["obstacle"]
-        gizmo.visible = name != "none"
-        if gizmo.visible:
-            original = self.live.problem.scene[name].T_world_object
-            _place(gizmo, self.live.request.moved.get(name, original))
+    async def _pick(self, name: str, event: Any) -> None:
+        """Choose what was clicked."""
+        self._chosen.value = name
+
+    def _mark_chosen(self) -> None:
+        """Highlight what is chosen and show its handles, larger than the body that they move."""
+        chosen = self._chosen.value
+        for name, gizmo in self._gizmos.items():
+            gizmo.visible = name == (chosen if chosen in ("start", "goal") else "obstacle")
+        for body, node in self._nodes.values():
+            marked = _mover_of(body) == chosen and body.layer != "robot"
+            node.color = (255, 165, 25) if marked else _rgb(body.colour)
+        items, gizmo = self.live.groups.get(chosen), self._gizmos["obstacle"]
+        if items is None or "obstacle" in self._dragged:
+            return
+        T = items[0].T_world_object
+        corners = np.concatenate(
+            [shape_mesh(it.shape).placed(it.T_world_object).corners.reshape(-1, 3) for it in items]
+        )
+        size = np.linalg.norm(corners - T[:3, 3], axis=1).max()
+        gizmo.scale = float(max(0.2 * self.live.problem.robot.reach, 1.2 * size))
+        _place(gizmo, self.live.request.moved.get(items[0].name, T))
 
     def _show(self, response: Response) -> None:
-        """Draw a response; called in the planning thread."""
+        """Draw a response; called in the planning thread, and where a layer is switched."""
+        with self._drawing:
+            self._draw(response)
+
+    def _draw(self, response: Response) -> None:
+        """Draw a response."""
         problem, request = response.problem, response.request
         scene = self.server.scene
         drawing = drawing_of_problem(problem, response.path, ghosts=0)
@@ -415,13 +494,21 @@ class StudioPage:
         points = response.drawn if shown & {"search", "cloud", "Gaussians"} else ()
         drawn = [(layer, at, colour) for layer, at, colour in points if layer in shown]
         with self.server.atomic():
+            self._state.content = state_of(response)
             self._text.content = text_of(response)
+            colours = {body.layer.split("/")[0]: body.colour for body in drawing.over}
+            colours |= {layer: colour for layer, _, colour in drawn}
+            self._legend.content = "".join(
+                f'<span style="color:rgb{_rgb(colours[name])}">&#9632;</span> {name} &ensp;'
+                for name in self._layers
+                if name in colours
+            )
             for name in self._nodes.keys() - named.keys():
                 self._nodes.pop(name)[1].remove()
             for name, body in named.items():
-                mesh, node = self._nodes.get(name, (None, None))
+                last, node = self._nodes.get(name, (None, None))
                 # nodes of the scene are kept, although the meshes of clouds are new every time
-                if node is None or (mesh is not body.mesh and body.layer != "scene"):
+                if last is None or (last.mesh is not body.mesh and body.layer != "scene"):
                     corners = body.mesh.corners.reshape(-1, 3)
                     faces = np.arange(len(corners)).reshape(-1, 3)
                     opacity = body.opacity if body.opacity < 1.0 else None
@@ -429,7 +516,10 @@ class StudioPage:
                         name, corners, faces, color=body.colour, opacity=opacity
                     )
                     _place(node, body.poses[0])
-                    self._nodes[name] = (body.mesh, node)
+                    if (mover := _mover_of(body)) in self._chosen.options:
+                        self._guard.clicked.add(name)
+                        node.on_click(partial(self._pick, mover))
+                self._nodes[name] = (body, node)
                 T = request.moved.get(body.name) if body.layer == "scene" else body.poses[0]
                 if T is not None:  # None: an object of the scene that was not moved
                     _place(node, T)
@@ -446,6 +536,7 @@ class StudioPage:
                 _place(self._gizmos["start"], first if request.start is None else request.start)
             if "goal" not in self._dragged:
                 _place(self._gizmos["goal"], last if request.goal is None else request.goal)
+            self._mark_chosen()
             self._pose_robot()
 
     def _pose_robot(self) -> None:
@@ -454,9 +545,26 @@ class StudioPage:
             _place(node, poses[round(self._slider.value * (len(poses) - 1))])
 
 
+def _mover_of(body: Body) -> str:
+    """Name of what moves a body: "start", "goal" or a group of obstacles; "" if nothing does."""
+    layer = body.layer.split("/")[0]
+    movers = {"start": "start", "robot": "start", "goals": "goal"}
+    return body.name.partition("/")[0] if layer == "scene" else movers.get(layer, "")
+
+
+def state_of(response: Response) -> str:
+    """State of a response as html: a word and a colour, and why there is no path."""
+    word, colour = response.verdict, {"certified": "#1a7f37", "no path": "#b42318"}
+    why = f": {response.message}" if response.message else f", {1e3 * response.seconds:.0f} ms"
+    return (
+        f'<div style="background:{colour.get(word, "#9a6700")};color:#fff;padding:0.5em;'
+        f'margin:0 0.6em 0.6em;border-radius:4px"><b>{word}</b>{html.escape(why)}</div>'
+    )
+
+
 def text_of(response: Response) -> str:
-    """Text of a response on the page, as markdown; names in it cannot become html or links."""
-    lines = [f"**{response.verdict}**, {1e3 * response.seconds:.0f} ms"]
+    """Details of a response, as markdown; names in it cannot become html or links."""
+    lines = []
     if response.message:
         lines += [_plain(response.message), "The path is that of an earlier request:"]
     if response.solution is not None:
@@ -470,6 +578,12 @@ def text_of(response: Response) -> str:
 def _plain(text: str) -> str:
     """Text as markdown that shows it as it is: what could be markdown or html is an entity."""
     return re.sub(r"[^\w\s.,:;()/%+=°-]|_", lambda found: f"&#{ord(found[0])};", text)
+
+
+def _rgb(colour: Colour) -> tuple[int, int, int]:
+    """Red, green and blue from 0 to 255."""
+    red, green, blue = (round(255 * part) for part in colour)
+    return red, green, blue
 
 
 def _place(node: Any, T: np.ndarray) -> None:

@@ -15,13 +15,14 @@ class Guard:
     """Guard of one server of viser: everything that is not permitted here is dropped.
 
     `values` has the check of a new value by the uuid of each element, `gizmos` the names of what
-    can be dragged.
+    can be dragged, `clicked` the names of what can be clicked.
     """
 
     def __init__(self) -> None:
         self.token = secrets.token_urlsafe(24)  # the path of the page's address
         self.values: dict[str, Callable[[Any], bool]] = {}
         self.gizmos: set[str] = set()
+        self.clicked: set[str] = set()
         self.started = False
 
     @contextmanager
@@ -94,7 +95,14 @@ class Guard:
         if kind == "ViewerCameraMessage":
             return all(is_number(value) or _are_numbers(value) for value in fields.values())
         name, owner = fields.pop("name", None), fields.pop("owner", "")
-        if not isinstance(name, str) or name not in self.gizmos or owner != "":
+        if not isinstance(name, str) or name not in self.gizmos | self.clicked or owner != "":
+            return False
+        if kind == "SceneNodeClickMessage":
+            rays = [fields.pop(key, None) for key in ("ray_origin", "ray_direction")]
+            at = fields.pop("screen_pos", None)
+            plain = fields == {"instance_index": None, "modifier": None}
+            return plain and all(_are_numbers(ray, 3) for ray in rays) and _are_numbers(at, 2)
+        if name not in self.gizmos:
             return False
         if kind == "TransformControlsUpdateMessage":
             rotation, position = fields.get("wxyz"), fields.get("position")

@@ -1,5 +1,6 @@
 """A studio plans again when start, goal or obstacles move, and its page shows the result."""
 
+import asyncio
 import html
 import json
 import math
@@ -15,7 +16,8 @@ from refusals import refused
 from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.certificate.certificate import certify
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.show.studio import Studio, studio, text_of
+from cvqmpt_lab.show.meshes import shape_mesh
+from cvqmpt_lab.show.studio import Studio, state_of, studio, text_of
 from cvqmpt_lab.trajectory.trajectory import read_motion
 
 FAR = pose((9.0, 0.0, 0.5))
@@ -88,6 +90,7 @@ def test_an_obstacle_in_the_start_is_named_and_the_path_stays(fresh):
     assert "start is in collision: " in response.message and item.name in response.message
     text = html.unescape(text_of(response))
     assert "earlier request" in text and response.message in text
+    assert f"<b>no path</b>: {html.escape(response.message)}" in state_of(response)
     response = fresh.wait(fresh.move_obstacle(item.name, item.T_world_object))
     assert response.verdict == "certified" and "earlier request" not in text_of(response)
 
@@ -279,7 +282,9 @@ def test_names_of_a_file_are_text_on_the_page(fresh):
     name = "<iframe srcdoc='<script>alert(1)</script>'></iframe> ![x](http://evil.example/_x_.png)"
     shown = text_of(replace(fresh.response, message=f"the path touches {name}"))
     assert not set("<>![]'") & set(shown) and "evil.example" in shown
-    assert html.unescape(shown).splitlines()[2] == f"the path touches {name}"
+    assert html.unescape(shown).splitlines()[0] == f"the path touches {name}"
+    shown = state_of(replace(fresh.response, message=f"the path touches {name}"))
+    assert "<iframe" not in shown and html.escape(name) in shown
 
 
 def shown(page):
@@ -296,12 +301,43 @@ def test_the_page_shows_layers_and_plays_along_the_path(page):
     assert {node.name.split("/")[1] for node in page._points} == {"search"}
     layers = {name.split("/")[1] for name in page._nodes}
     assert {"scene", "robot", "start", "goals", "path", "constraint"} <= layers
+    assert all(f"</span> {name} " in page._legend.content for name in ("start", "path", "search"))
+    number = page.live.request.number
     page._layers["start"].value = False
-    shown(page)
+    deadline = time.monotonic() + 30.0
+    while any(name.startswith("/start/") for name in page._nodes) and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert page.live.request.number == number, "a layer is switched without planning"
     assert not any(name.startswith("/start/") for name in page._nodes)
     page._slider.value = 1.0
     node, poses = page._moving[-1]
     assert node.position == pytest.approx(poses[-1][:3, 3])
+
+
+def test_a_click_chooses_what_handles_move_and_undo_reverts_it(page):
+    import msgspec
+
+    name, (item, *others) = next((k, v) for k, v in page.live.groups.items() if "drawer" in k)
+    node = f"/scene/{item.name.replace('/', '|')}"
+    click = {"type": "SceneNodeClickMessage", "name": node, "instance_index": None, "owner": ""}
+    click |= {"ray_origin": [0.0] * 3, "ray_direction": [1.0, 0.0, 0.0], "modifier": None}
+    shown(page)
+    permits = page._guard.permits
+    assert permits(msgspec.msgpack.encode({**click, "screen_pos": [0.5, 0.5]}))
+    assert not permits(msgspec.msgpack.encode({**click, "screen_pos": [0.5, math.nan]}))
+    asyncio.run(page._pick(name, None))
+    shown(page)
+    assert page._gizmos["obstacle"].visible and not page._gizmos["goal"].visible
+    assert tuple(page._nodes[node][1].color) == (255, 165, 25)
+    corners = shape_mesh(item.shape).corners.reshape(-1, 3)
+    assert page._gizmos["obstacle"].scale > np.abs(corners).max(), "handles are outside the body"
+    page.live.remember()
+    page.live.move_obstacle(name, lifted(item.T_world_object, 0.3))
+    moved = page.live.request.moved
+    for it in (item, *others):
+        assert moved[it.name] == pytest.approx(lifted(it.T_world_object, 0.3))
+    page.live.wait(page.live.undo())
+    assert page.live.request.moved == {}
 
 
 def test_an_address_is_shown_and_a_port_in_use_is_refused(page, problem):
