@@ -75,6 +75,7 @@ def robot_options(args: argparse.Namespace) -> dict[str, Any]:
         "jerk_limits": args.jerk,
         "effort_limits": args.effort,
         "hard_limits": args.hard_limits or None,
+        "skip_missing_meshes": args.skip_missing_meshes or None,
         "visual_as_collision": args.visual_as_collision or None,
     }
     return {name: value for name, value in given.items() if value not in (None, [], {})}

@@ -94,6 +94,11 @@ ROBOT_DETAILS: Options = {  # for robots given by name or by file
     "--visual-as-collision": option(
         "links without a collision body get their visual bodies", **FLAG
     ),
+    "--skip-missing-meshes": option(
+        "plan without the collision bodies whose mesh is not found; reports and certificates name "
+        "them",
+        **FLAG,
+    ),
     "--acceleration": option(
         "acceleration limits, one per joint or one for all [rad/s^2 or m/s^2]; required by "
         "--trajectory",

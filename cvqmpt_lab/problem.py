@@ -41,7 +41,7 @@ from cvqmpt_lab.collision.carried import reach_with
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.goals import SAMPLE_MARGIN_M, find_in_region
 from cvqmpt_lab.constraints.holding import really_held
-from cvqmpt_lab.constraints.named import Region
+from cvqmpt_lab.constraints.named import Region, upper_axis
 from cvqmpt_lab.constraints.project import PROJECTION_TOLERANCE
 from cvqmpt_lab.constraints.region_constraint import RegionConstraint
 from cvqmpt_lab.constraints.report import bounds_text, broken_bound, displacements
@@ -444,6 +444,15 @@ def _off_manifold(
     cure = "`cvqmpt ik` finds configurations that keep the constraint"
     if label == "start":
         cure += ", --project-start moves this one onto it"
+        for k, region in enumerate(problem.constraint):
+            if region.bounded_rows.tolist() == [6]:
+                T = problem.robot.pose(q, region.end_effector)
+                up, wanted = upper_axis(T), upper_axis(region.T0_w @ region.Tw_e)
+                if up != wanted:
+                    at = f"constraint[{k}]"
+                    cure = f"axis {up} of the hand points up there, not {wanted}: write " + (
+                        f'"axis": "{up}" in {at}, or choose another start'
+                    )
     if label != "start" and problem.goal_region is not None:
         residuals = np.linalg.norm(problem.manifold.residual(goals), axis=1)
         if residuals.min() > PROJECTION_TOLERANCE:

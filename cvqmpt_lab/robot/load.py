@@ -382,7 +382,11 @@ def _models(
     root = one_coordinate_a_joint(urdf)
     bodies = prepare_bodies(root, urdf.path, given.visual_as_collision)
     bodies = bodies._replace(notes=(*bodies.notes, *_without_uncompared(root, given.srdf)))
-    meshes = find_collision_meshes(root, urdf.path, [Path(folder) for folder in given.package_dirs])
+    folders = [Path(folder) for folder in given.package_dirs]
+    meshes, lost = find_collision_meshes(root, urdf.path, folders, given.skip_missing_meshes)
+    if lost:
+        said = f"cannot collide: {few(lost)}, whose collision mesh is missing"
+        bodies = bodies._replace(notes=(*bodies.notes, said))
     digests = {path: content_digest(path) for path in meshes}
     hulls = hulls_of_meshes(root, digests)
     for element in root.findall("joint"):

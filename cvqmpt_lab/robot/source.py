@@ -57,6 +57,8 @@ class RobotSource:
     hard_limits: bool = False
     # whether links without a collision body get their visual bodies
     visual_as_collision: bool = False
+    # whether a collision mesh that is not found is no body, instead of an error
+    skip_missing_meshes: bool = False
     # (4, 4) pose of the URDF's base link in the world; None: the identity
     base: Pose | None = None
     # (4, 4) pose of the tool in the frame `end_effector`, whose place it takes; None: the identity
@@ -379,8 +381,8 @@ def _installed_share() -> Path:
 
 
 def find_collision_meshes(
-    root: ElementTree.Element, urdf: Path, package_dirs: Sequence[Path]
-) -> list[str]:
+    root: ElementTree.Element, urdf: Path, package_dirs: Sequence[Path], skip_missing: bool = False
+) -> tuple[list[str], list[str]]:
     """Replace the names of collision meshes in a URDF by absolute paths.
 
     The attribute scale of a DAE mesh is multiplied by the unit that the DAE file states, because
@@ -390,17 +392,31 @@ def find_collision_meshes(
         root: root element of the URDF; it is changed.
         urdf: path of the URDF; relative names of meshes start at its folder.
         package_dirs: folders that are searched first for ``package://`` names.
+        skip_missing: whether bodies whose mesh is not found are removed from `root`.
 
     Returns:
-        The absolute paths, one for each mesh.
+        The absolute paths, one for each mesh, and the links that lost a body.
 
     Raises:
         InvalidInputError: a mesh is not found, or its unit is not a number; the message names it.
     """
-    found = []
-    for mesh in root.findall("link/collision/geometry/mesh"):
+    found, lost = list[str](), list[str]()
+    bodies = [(link, body) for link in root.findall("link") for body in link.findall("collision")]
+    for link, body in bodies:
+        mesh = body.find("geometry/mesh")
+        if mesh is None:
+            continue
         name = mesh.get("filename", "")
-        path = mesh_path(name, urdf, package_dirs)
+        try:
+            path = mesh_path(name, urdf, package_dirs)
+        except InvalidInputError as error:
+            if not skip_missing:
+                raise InvalidInputError(
+                    f"{error}; --skip-missing-meshes plans without it"
+                ) from error
+            link.remove(body)
+            lost.append(link.get("name", ""))
+            continue
         found.append(str(path.resolve()))
         mesh.set("filename", found[-1])
         if path.suffix.lower() == ".dae":
@@ -408,7 +424,7 @@ def find_collision_meshes(
                 unit = collada_unit(path.read_bytes())
             scale = [unit * float(number) for number in mesh.get("scale", "1 1 1").split()]
             mesh.set("scale", " ".join(map(repr, scale)))
-    return found
+    return found, lost
 
 
 PACKAGE_PATHS = ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH")  # variables that list folders

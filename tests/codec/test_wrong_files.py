@@ -8,7 +8,7 @@ from command_line import refused as refused_command
 from refusals import DATA, refused, table
 
 from cvqmpt_lab.benchmarks.two_arms import two_arms_problem
-from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.problem import PlanningProblem, check_problem
 
 TABLE = table("wrong_problems")  # column value: JSON; empty: the field is deleted
 READY = [0.0, -0.7, 0.0, -2.3, 0.0, 1.6, 0.8]
@@ -60,6 +60,12 @@ def test_one_line_names_the_field_and_the_cure(row, good, capsys, tmp_path, monk
 def test_the_good_file_is_accepted_and_a_list_is_refused():
     PlanningProblem.from_dict(GOOD)
     refused("must be an object with schema, name, robot", PlanningProblem.from_dict, [])
+
+
+def test_a_start_in_which_another_axis_points_up_is_answered_with_it():
+    wrong = {**GOOD, "attachments": [], "constraint": {"upright": {"tilt": 0.1, "axis": "x"}}}
+    pattern = r'axis -z of the hand points up there, not x: write "axis": "-z" in constraint\[0\]'
+    refused(pattern, check_problem, PlanningProblem.from_dict(wrong))
 
 
 def test_a_start_off_the_chain_is_refused_with_F_or_projected(good, cvqmpt, capsys, tmp_path):

@@ -62,6 +62,11 @@ def test_unusable_options_and_files_are_named(slider_arm_urdf, edited, tmp_path,
         (tmp_path / name).write_text(text)
     for name in ("nothing.stl", *texts):
         refused(name, load_robot, edited((SPHERE, f'<mesh filename="{name}"/>')), "tool")
+    urdf = str(edited((SPHERE, '<mesh filename="file:///nothing.stl"/>')))
+    source = {"urdf": urdf, "end_effector": "tool"}
+    refused("--skip-missing-meshes plans without it", robot_from_source, source)
+    robot = robot_from_source({**source, "skip_missing_meshes": True})
+    assert "whose collision mesh is missing" in robot.notes[-1]
 
 
 def test_the_unit_of_a_collada_mesh_counts_before_the_scale_in_the_urdf(edited, tmp_path):
