@@ -8,8 +8,8 @@ import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-from cvqmpt_lab.base.errors import InvalidInputError
-from cvqmpt_lab.base.files import write_text
+from cvqmpt_lab.base.errors import InvalidInputError, require_choice
+from cvqmpt_lab.base.files import write_bytes, write_text
 from cvqmpt_lab.benchmarks.declarations import SUITES
 from cvqmpt_lab.benchmarks.suite import folder_suite, suite_named
 from cvqmpt_lab.cli.options import (
@@ -25,6 +25,7 @@ from cvqmpt_lab.cli.options import (
     own_command,
     positive_int,
     refuse_given,
+    writable_file,
 )
 from cvqmpt_lab.cli.problem_arguments import budget, optimize_budget, planner_list
 from cvqmpt_lab.cli.problem_options import BUDGET, optimize_option
@@ -34,9 +35,11 @@ from cvqmpt_lab.experiments.figures.code_update import UpdateSettings
 from cvqmpt_lab.experiments.figures.paper import FIGURES, reproduce_figure, summary
 from cvqmpt_lab.experiments.run import default_jobs, executor_for, run_experiment
 from cvqmpt_lab.paper_tables.rendering import render_directory
+from cvqmpt_lab.paper_tables.table_engine import by_planner
 from cvqmpt_lab.planning.planners import PLANNERS
 from cvqmpt_lab.planning.warm_up import compile_kernels
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE
+from cvqmpt_lab.results.store import directory_rows
 from cvqmpt_lab.tasks.task import Task
 
 ALL = "all"
@@ -181,6 +184,11 @@ OPTIONS: Options = {
 
 def figure(args: argparse.Namespace) -> None:
     """Make the figure and print a summary."""
+    if args.figure not in FIGURES:
+        _profile(args)
+        return
+    if args.folder is not None:
+        raise InvalidInputError(f"{args.figure} takes no FOLDER, got {args.folder}; leave it out")
     out = args.out or Path("runs") / args.figure
     settings = UpdateSettings(seed=args.seed)
     compile_kernels(compiling())
@@ -193,8 +201,40 @@ def figure(args: argparse.Namespace) -> None:
         print(f"written {path}")
 
 
+def _profile(args: argparse.Namespace) -> None:
+    """Write a performance profile of the rows of a results directory."""
+    kind = args.figure
+    if args.folder is None:
+        raise InvalidInputError(
+            f"{kind} needs a results directory: cvqmpt figure {kind} runs/mine --out {kind}.pdf"
+        )
+    groups = by_planner(directory_rows(args.folder), ())
+    out = writable_file(args.out or args.folder / f"{kind}.pdf")
+    form = require_choice("format of --out", out.suffix[1:], ("pdf", "svg", "png"))
+    from cvqmpt_lab.paper_tables import plots  # matplotlib takes a second to import
+
+    made = plots.profile(groups, kind)
+    drawn = made.axes[0].get_legend_handles_labels()[1]
+    if not drawn:
+        raise InvalidInputError(
+            f"no solved run of {args.folder} has the values of {kind!r}; choose another figure"
+        )
+    write_bytes(out, plots.figure_bytes(made, form))
+    left_out = [name for name in groups if name not in drawn]
+    if left_out:
+        print(f"left out, without solved runs that have these values: {', '.join(left_out)}")
+    print(f"written {out}")
+
+
 FIGURE: Options = {
-    "figure": option(f"one of {', '.join(FIGURES)}", type=one_of("figure", FIGURES)),
+    "figure": option(
+        f"one of {', '.join(FIGURES)}, figures of the paper; or solved, work or length, "
+        "performance profiles of the rows of a FOLDER",
+        type=one_of("figure", (*FIGURES, "solved", "work", "length")),
+    ),
+    "folder": option(
+        "for solved, work, length: a results directory", type=Path, nargs="?", metavar="FOLDER"
+    ),
     "--problem": option(
         "for concept: index of the place task's problem (0)", type=int, default=0, metavar="I"
     ),
@@ -203,6 +243,11 @@ FIGURE: Options = {
     ),
     **WEIGHTS,
     **SEED,
-    "--out": option("folder of the results (runs/FIGURE)", type=Path, metavar="DIR"),
+    "--out": option(
+        "folder of the results (runs/FIGURE); for solved, work, length: a pdf, svg or png file "
+        "(FOLDER/FIGURE.pdf)",
+        type=Path,
+        metavar="OUT",
+    ),
 }
 COMMANDS = {"reproduce": (run, OPTIONS), "figure": (figure, FIGURE)}

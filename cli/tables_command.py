@@ -37,6 +37,7 @@ from cvqmpt_lab.paper_tables.committed import (
 )
 from cvqmpt_lab.paper_tables.rendering import render_directory
 from cvqmpt_lab.paper_tables.writers import text_lines
+from cvqmpt_lab.results.provenance import PROVENANCE_FILE
 from cvqmpt_lab.results.store import directory_rows
 
 
@@ -64,7 +65,11 @@ def write_report(directory: Path, out: Path | None = None) -> None:
     from cvqmpt_lab.experiments.replay import first_path
 
     found = pages.evidence_of(directory)
-    text = pages.report_html(found, ProgressBar("report"), first_path(found))
+    alone = (directory / PROVENANCE_FILE).is_file()
+    titled = {} if directory.resolve() == RESULTS else {"title": directory.resolve().name}
+    text = pages.report_html(
+        found, ProgressBar("report"), first_path(found), verdicts=not alone, **titled
+    )
     out = writable_file(out or directory / "report.html")
     write_text(out, text)
     print(f"report, for a browser: {out}")

@@ -211,6 +211,8 @@ def report_html(
     found: Mapping[str, Evidence],
     report: Callable[[int, int], None] = lambda done, total: None,
     paths: Mapping[str, Mapping[str, str]] | None = None,
+    title: str = "CVQ-MPT, reproduced",
+    verdicts: bool = True,
 ) -> str:
     """Return one self-contained html file about results directories.
 
@@ -218,8 +220,10 @@ def report_html(
         found: results directories by name, see `evidence_of`.
         report: called with the number of finished directories and the number of all.
         paths: title and html of a path in 3-D, by the name of its directory.
+        title: title of the page.
+        verdicts: whether to judge the paper's claims by these rows.
     """
-    claims = [item for item in judged_claims(found) if item.evidence]
+    claims = [item for item in judged_claims(found) if item.evidence] if verdicts else []
     sections: list[dict[str, Any]] = []
     for evidence in found.values():
         report(len(sections), len(found))
@@ -228,7 +232,8 @@ def report_html(
     data = [{key: section[key] for key in ("name", "rows", "again")} for section in sections]
     return rendered(
         "report.html.j2",
-        title="CVQ-MPT, reproduced",
+        title=title,
+        verdicts=verdicts,
         banner=banner(found),
         claims=summary_lines(claims) if claims else [],
         styles={
@@ -293,7 +298,7 @@ def _plots(groups: Mapping[str, Rows]) -> dict[str, dict[str, str]]:
     boxes = "Boxes contain the middle half of the runs, their line is the median; whiskers: 90 %."
     drawn = {
         "Solved against time": {
-            "svg": plots.solved_curve(groups) if timed else "",
+            "svg": plots.svg(plots.profile(groups, "solved")) if timed else "",
             "words": "One line per planner; higher and further left is better.",
         },
         "Work, solved runs": {

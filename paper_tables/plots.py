@@ -18,12 +18,14 @@ from cvqmpt_lab.paper_tables.judging import Verdict, Word
 from cvqmpt_lab.paper_tables.measures import (
     PUBLISHED_PRICES,
     REFERENCE,
+    VALUES,
     Value,
     mean_ratio,
     paired,
     time_at,
 )
 from cvqmpt_lab.results.row import ResultRow
+from cvqmpt_lab.results.statistics import ProblemKey, problem_key
 
 Groups = Mapping[str, Sequence[ResultRow]]  # rows by planner
 STYLE: Any = {
@@ -93,10 +95,11 @@ def line_style(name: str) -> dict[str, Any]:
 
 
 def figure_bytes(figure: Figure, kind: str, dpi: int = 160) -> bytes:
-    """A figure as the content of a file; kind: "png" or "svg". Equal figures give equal bytes."""
+    """A figure as the content of a file: "png", "svg" or "pdf". Equal figures give equal bytes."""
     buffer = io.BytesIO()
-    # without metadata and hashsalt an svg file would contain the date and random identifiers
-    metadata = {"Date": None, "Creator": None} if kind == "svg" else None
+    # without metadata and hashsalt a file would contain the date and random identifiers
+    dated = {"svg": {"Date": None, "Creator": None}, "pdf": {"CreationDate": None}}
+    metadata = dated.get(kind)
     with matplotlib.rc_context({"svg.hashsalt": "cvqmpt"}):
         figure.savefig(buffer, format=kind, dpi=dpi, metadata=metadata)
     return buffer.getvalue()
@@ -109,17 +112,38 @@ def svg(figure: Figure) -> str:
 
 
 @matplotlib.rc_context(STYLE)
-def solved_curve(groups: Groups) -> str:
-    """Return a plot of the share of runs solved within a time."""
+def profile(groups: Groups, kind: str) -> Figure:
+    """Return a performance profile; planners that the toolkit does not have are thick.
+
+    Args:
+        groups: rows by planner.
+        kind: "solved": share of runs that are solved within a time. "work" or "length": share of
+            runs that are solved with at most a factor times the smallest value of all planners.
+    """
+    value = {"solved": VALUES["time"], "work": VALUES["work"], "length": VALUES["path_length"]}[
+        kind
+    ]
+    known = {
+        name: {problem_key(row): x for row in rows if row.solved and (x := value(row))}
+        for name, rows in groups.items()
+    }
+    best: dict[ProblemKey, float] = {}
+    for values in known.values() if kind != "solved" else ():
+        best |= {key: min(x, best.get(key, x)) for key, x in values.items()}
     figure, axes = _axes(max(3.4, LEGEND_LINE * len(groups)))
-    for name, rows in groups.items():
-        times = sorted(row.t_total_s for row in rows if row.solved and row.t_total_s)
-        if times:
-            shares = 100.0 * np.arange(1, len(times) + 1) / len(rows)
-            axes.step([*times], shares, where="post", label=name, **line_style(name))
-    _finish(axes, "time, everything counted [s]", "solved [%]")
+    for place, (name, values) in enumerate(known.items()):
+        if not values:
+            continue
+        factors = sorted(x / best.get(key, 1.0) for key, x in values.items())
+        shares = 100.0 * np.arange(1, len(factors) + 1) / len(groups[name])
+        style = line_style(name)
+        if name.split()[0] not in COLOURS:
+            style = {"color": matplotlib.colormaps["tab10"](place % 10), "linewidth": 3.2}
+        axes.step(factors, shares, where="post", label=name, **style)
+    label = f"{kind} / smallest {kind} of all planners"
+    _finish(axes, "time, everything counted [s]" if kind == "solved" else label, "solved [%]")
     axes.set_ylim(0.0, 102.0)
-    return svg(figure)
+    return figure
 
 
 @matplotlib.rc_context(STYLE)

@@ -17,7 +17,7 @@ from cvqmpt_lab.results.store import directory_rows
 
 def title_of(suite: str) -> str:
     """Return the title of the tables of a suite or of a folder of problem files."""
-    return SUITES[suite].title if suite in SUITES else f"Suite {suite}"
+    return SUITES[suite].title if suite in SUITES else suite
 
 
 def published_of(suite: str) -> tuple[PublishedValue, ...]:

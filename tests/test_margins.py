@@ -8,12 +8,13 @@ import pytest
 
 from cvqmpt_lab.base.poses import rotation_matrices
 from cvqmpt_lab.certificate.between_states import least_slack
+from cvqmpt_lab.certificate.certificate import certify
 from cvqmpt_lab.cli.problem_options import MARGIN
 from cvqmpt_lab.constraints.goals import goals_of
 from cvqmpt_lab.constraints.report import displacements, excess
 from cvqmpt_lab.planning.margins import NO_MARGIN, Margin, solve_with_margin, with_margin
 from cvqmpt_lab.planning.pipeline import solve
-from cvqmpt_lab.search.result import Budget
+from cvqmpt_lab.search.result import Budget, JointPath
 from cvqmpt_lab.tasks.solve import solve_task
 
 
@@ -91,6 +92,12 @@ def test_no_margin_is_the_plain_solution(problem, solution):
     again, text = solve_with_margin(problem, "birrt", Budget(iterations=20_000), 0, NO_MARGIN)
     assert text == "none requested"
     assert np.array_equal(again.path.states, solution.path.states)
+
+
+def test_the_status_of_a_path_that_is_refused_is_the_verdict(problem, solution):
+    straight = JointPath(np.linspace(problem.start, solution.path.states[-1], 50))
+    refused = replace(solution, certificate=certify(problem, straight))
+    assert "status      refused by the certificate" in refused.report()
 
 
 def test_phases_of_a_task_keep_what_their_start_and_goals_allow(task):

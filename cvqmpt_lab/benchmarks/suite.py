@@ -71,7 +71,7 @@ def folder_suite(folder: Path) -> Suite:
         )
     _FOLDERS[str(path)] = suite = Suite(
         name=path.name,
-        title=f"Suite {path.name}",
+        title=path.name,
         problems=tuple(problems),
         make=problems.__getitem__,
         digests=digests,

@@ -79,7 +79,7 @@ class Solution:
             *_left_out(self.left_out),
             f"constraint  {_bounds(self)}",
             f"planner     {f'{chosen}, {samples}' if planner else samples}",
-            f"status      {_status(plan)}",
+            f"status      {_status(plan, self.certificate)}",
             f"time        {times}",
         ]
         if not plan.as_is:
@@ -118,8 +118,13 @@ def _bounds(solution: Solution) -> str:
     return "; ".join(map(str, uses)) + where
 
 
-def _status(plan: PlanResult) -> str:
-    """Return the status, and the method that found the path if the planner has another name."""
+def _status(plan: PlanResult, certificate: Certificate | None) -> str:
+    """Return the status, or the verdict of a certificate that does not accept the path.
+
+    It names the method that found the path if the planner has another name.
+    """
+    if certificate is not None and not certificate.valid:
+        return f"{certificate.verdict} by the certificate"
     text = f"{plan.status} by {plan.fallback}" if plan.fallback else str(plan.status)
     if plan.status in (PlanStatus.TIMEOUT, PlanStatus.ITERATION_LIMIT):
         iterations = plan.counters.iterations

@@ -53,7 +53,7 @@ def test_it_has_rows_a_table_a_report_and_is_continued(folder, tmp_path, cvqmpt,
     both = reproduce(folder, out)
     assert both[0] == rows[0] and [row.problem for row in both] == ["first-2-carry", "second"]
     assert reproduce(folder, out) == both and both[1].solved
-    assert "Suite my shelves: 2 problems" in capsys.readouterr().out
+    assert "my shelves: 2 problems" in capsys.readouterr().out
     cvqmpt("report", out)
     assert "cvqmpt plan --problem-file FILE --planner PLANNER" in (out / "report.html").read_text()
     assert "name it with --problems-dir" in refused(capsys, "certify", out)

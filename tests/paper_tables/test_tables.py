@@ -18,9 +18,10 @@ from cvqmpt_lab.paper_tables.committed import RESULTS
 from cvqmpt_lab.paper_tables.judging import Word
 from cvqmpt_lab.paper_tables.layouts import place_table
 from cvqmpt_lab.paper_tables.motion_bench_table import class_lines
-from cvqmpt_lab.paper_tables.plots import COLOURS, OURS, line_style
+from cvqmpt_lab.paper_tables.plots import COLOURS, OURS, line_style, profile
 from cvqmpt_lab.paper_tables.rendering import render_directory, table_of
 from cvqmpt_lab.paper_tables.statements import read_published
+from cvqmpt_lab.paper_tables.table_engine import by_planner
 from cvqmpt_lab.paper_tables.writers import latex_table
 from cvqmpt_lab.planning.planners import PLANNERS
 from cvqmpt_lab.results.row import RUNS_FILE, read_rows, write_rows
@@ -227,6 +228,37 @@ def test_the_command_writes_it_beside_the_rows_and_refuses_other_folders(
     cvqmpt("report", results / "place-task", "--out", tmp_path / "r.html")
     assert (tmp_path / "r.html").read_text().startswith("<!doctype html>")
     assert "contains none; make one with" in command_refused(capsys, "report", tmp_path)
+
+
+def test_a_report_of_one_directory_points_to_the_verdicts_and_has_its_name(
+    cvqmpt, results, tmp_path
+):
+    cvqmpt("report", results / "place-task", "--out", tmp_path / "r.html")
+    text = (tmp_path / "r.html").read_text()
+    assert "<title>place-task</title>" in text and "too little to judge the paper" in text
+    assert "Is the paper replicated?" not in text and "A verdict is" not in text
+
+
+def test_profiles_are_files_of_the_format_named_with_own_planners_thick(
+    cvqmpt, capsys, results, tmp_path
+):
+    folder = results / "place-task"
+    for name, begins in (("f.png", b"\x89PNG"), ("f.svg", b"<?xml"), ("f.pdf", b"%PDF")):
+        cvqmpt("figure", "length", folder, "--out", tmp_path / name)
+        assert (tmp_path / name).read_bytes().startswith(begins)
+    told = cvqmpt("figure", "work", folder, "--out", tmp_path / "f.png")
+    assert f"have these values: {EVIL}" in told
+    widths = {
+        line.get_label(): line.get_linewidth()
+        for line in profile(by_planner(read_rows(folder / RUNS_FILE), ()), "solved").axes[0].lines
+    }
+    assert widths[EVIL] > max(width for name, width in widths.items() if name != EVIL)
+    for words, says in (
+        (("length", folder, "--out", tmp_path / "f.bmp"), "pdf, svg, png"),
+        (("work",), "needs a results directory"),
+        (("histogram", folder), "takes no FOLDER"),
+    ):
+        assert says in command_refused(capsys, "figure", *words)
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no chromium here (Debian: apt install chromium)")
