@@ -204,8 +204,9 @@ def test_a_report_holds_all_its_parts_needs_no_network_and_names_are_text(page):
     texts = "Is the paper replicated?", "not testable", "Solved against time", "Time by stage"
     assert all(text in page for text in (*texts, "Provenance"))
     assert page.count("<svg") == 4 and "cvqmpt plan place-task --problem PROBLEM" in page
-    colours, plot, table = map(page.index, ('id="colours">Colours', "<svg", '<div class="wide">'))
-    assert colours < plot < table, "plots lead"
+    marks = ('id="verdicts"', '<details class="suite"', "Colours of the plots", "<svg")
+    places = [page.index(mark) for mark in marks]
+    assert places == sorted(places), "verdicts lead, suites are folded and have their own legend"
     assert f'background: {line_style("opt-cvq-mpt")["color"]}"></i> opt-cvq-mpt' in page
     assert 'href="#rows/0/opt-cvq-mpt"' in page, "a number leads to its rows"
     fetched = re.findall(r'(?:src|href)="([^"]*)"', page) + re.findall(r"url\(([^)]*)\)", page)
