@@ -6,6 +6,8 @@ The certificate uses them: they share no code with the planners' compiled kinema
 import numpy as np
 import pinocchio as pin
 
+from cvqmpt_lab.base.values import frozen
+
 
 class JointFrames:
     """Forward kinematics of a pinocchio model of hinges and sliders.
@@ -16,8 +18,8 @@ class JointFrames:
     def __init__(self, model: pin.Model) -> None:
         data = model.createData()
         pin.computeJointJacobians(model, data, pin.neutral(model))
-        self.hinges = np.zeros(model.nv, dtype=bool)
-        self._axes = np.zeros((model.nv, 3))  # in the joints' own frames
+        hinges = np.zeros(model.nv, dtype=bool)
+        axes = np.zeros((model.nv, 3))  # in the joints' own frames
         self._parents = [int(parent) for parent in model.parents]
         # Pose in the parent's frame at value v: a + sin(v) b + (1 - cos(v)) c of a hinge, with
         # Rodrigues' formula; a + v b of a slider
@@ -25,16 +27,17 @@ class JointFrames:
         for j in range(model.nv):
             local = pin.getJointJacobian(model, data, j + 1, pin.ReferenceFrame.LOCAL)
             motion = local.reshape(6, -1)[:, j]  # (6,) of a single joint
-            self.hinges[j] = np.linalg.norm(motion[3:]) > 0.5
-            self._axes[j] = axis = motion[3:] if self.hinges[j] else motion[:3]
+            hinges[j] = np.linalg.norm(motion[3:]) > 0.5
+            axes[j] = axis = motion[3:] if hinges[j] else motion[:3]
             placed = model.jointPlacements[j + 1]
             terms[j, 0] = placed.homogeneous
-            if self.hinges[j]:
+            if hinges[j]:
                 terms[j, 1, :3, :3] = placed.rotation @ pin.skew(axis)
                 terms[j, 2, :3, :3] = placed.rotation @ pin.skew(axis) @ pin.skew(axis)
             else:
                 terms[j, 1, :3, 3] = placed.rotation @ axis
-        self._terms = terms.reshape(-1, 3, 16)
+        self.hinges, self._axes = frozen(hinges), frozen(axes)
+        self._terms = frozen(terms.reshape(-1, 3, 16))
 
     def poses(self, values: np.ndarray) -> np.ndarray:
         """Return T_world_frame (joints + 1, k, 4, 4) of all frames [m].

@@ -1,7 +1,7 @@
 """Tasks: sequences of phases in which an arm reaches, holds a door, grasps, carries and releases.
 
 `solve_task` plans a task; `world.World` is its state at one time. Tasks are saved as json, schema
-``cvqmpt-task/1``: "name", "robot", "scene" and "start" as in a problem file, and
+``cvqmpt-task/1``: "name", "robot", "scene" and "start" as in a problem file, and::
 
     "phases": [
       {"kind": "move", "name", "goal": region, "constraint": [regions], "through": [regions],
