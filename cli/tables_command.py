@@ -75,6 +75,21 @@ def write_report(directory: Path, out: Path | None = None) -> None:
     print(f"report, for a browser: {out}")
 
 
+def report(args: argparse.Namespace) -> None:
+    """Write the report of a folder, or the log of a run for OMPL's tools."""
+    if args.ompl_log is None:
+        write_report(args.directory, args.out)
+        return
+    from cvqmpt_lab.paper_tables.ompl_log import ompl_log
+
+    refuse_given(args, ("out",), "does not go with --ompl-log, which writes a log and no report")
+    write_text(writable_file(args.ompl_log), ompl_log(args.directory))
+    print(
+        f"written {args.ompl_log}; read it with: ompl_benchmark_statistics -d FILE.db "
+        f"{args.ompl_log}"
+    )
+
+
 def compare(args: argparse.Namespace) -> int:
     """Pair two runs, or two planners, on the same problems and print what differs."""
     from cvqmpt_lab.paper_tables.compare_runs import (
@@ -289,6 +304,12 @@ REPORT: Options = {
         "a results directory, or a folder that holds several", type=Path, metavar="DIR"
     ),
     "--out": option("file to write (DIR/report.html)", type=Path, metavar="FILE"),
+    "--ompl-log": option(
+        "write a results directory as OMPL's benchmark log instead, for Planner Arena and "
+        "ompl_benchmark_statistics",
+        type=Path,
+        metavar="FILE",
+    ),
 }
 COMPARE: Options = {
     "before": option(
@@ -363,7 +384,7 @@ CHECK_TABLES: Options = {
 }
 COMMANDS = {
     "table": (lambda args: show_tables(args.directory, args.baseline), TABLE),
-    "report": (lambda args: write_report(args.directory, args.out), REPORT),
+    "report": (report, REPORT),
     "compare": (compare, COMPARE),
     "claims": (claims, CLAIMS),
     "check-tables": (check_tables, CHECK_TABLES),

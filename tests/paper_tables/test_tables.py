@@ -3,12 +3,14 @@
 import json
 import re
 import shutil
+import sqlite3
 import subprocess
 from itertools import product
 
 import pytest
 from command_line import refused as command_refused
 from made_rows import a_failure, a_results_folder, a_row
+from ompl._benchmark_statistics import readBenchmarkLog
 from refusals import refused
 
 from cvqmpt_lab.base.errors import RunStoreError
@@ -238,6 +240,35 @@ def test_a_report_of_one_directory_points_to_the_verdicts_and_has_its_name(
     text = (tmp_path / "r.html").read_text()
     assert "<title>place-task</title>" in text and "too little to judge the paper" in text
     assert "Is the paper replicated?" not in text and "A verdict is" not in text
+
+
+def test_the_log_for_ompl_is_read_by_its_own_script(cvqmpt, capsys, tmp_path):
+    rows = (
+        a_row(t_total_s=2.5, t_simplify_s=0.5, path_length_raw_rad=9.0, path_length_rad=8.0),
+        a_row("a; b", t_total_s=1.0, n_projections=7, min_clearance_m=-0.001),
+        a_failure(planner="mpnet", t_total_s=10.0),
+        a_failure("p2", "mpnet", fail_reason="uncertified_collision"),
+    )
+    run, log, made = (tmp_path / f"run{ending}" for ending in ("", ".log", ".db"))
+    store(run, rows, platform="Linux-6 of a lab", date_utc="2026-01-02T03:04:05+00:00")
+    cvqmpt("report", run, "--ompl-log", log)
+    readBenchmarkLog(str(made), [str(log)], moveitformat=False)
+    capsys.readouterr()
+    with sqlite3.connect(made) as connection:
+        found = connection.execute(
+            """SELECT plannerConfigs.name, problem, solved, status, fail_reason, time,
+            simplification_time, simplified_solution_length, projections, clearance
+            FROM runs JOIN plannerConfigs ON plannerid = plannerConfigs.id ORDER BY runs.id"""
+        ).fetchall()
+    assert found == [
+        ("birrt", "a, b", 1, 6, None, 1.0, None, None, 7, -0.001),
+        ("birrt", "place_0", 1, 6, None, 2.0, 0.5, 8.0, None, None),
+        ("mpnet", "p2", 0, 0, "uncertified_collision", *[None] * 5),
+        ("mpnet", "place_0", 0, 4, "timeout", 10.0, *[None] * 4),
+    ]
+    store(tmp_path / "untimed", [a_row()])
+    told = command_refused(capsys, "report", tmp_path / "untimed", "--ompl-log", log)
+    assert "1 solved runs have no time, first problem place_0 of birrt" in told
 
 
 def test_profiles_are_files_of_the_format_named_with_own_planners_thick(
