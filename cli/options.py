@@ -163,10 +163,8 @@ def numbers(option: str, text: str, names: Sequence[str] = ()) -> list[float]:
         found = [math.nan]
     wrong_count = len(found) != len(names) if names else not found
     if wrong_count or not all(map(math.isfinite, found)):
-        wanted = (
-            f"{len(names)} numbers, {', '.join(names)}" if names else "numbers separated by commas"
-        )
-        raise InvalidInputError(f"{option} {text!r}: write {wanted}")
+        wanted = f"{len(names)} numbers, {', '.join(names)}," if names else "numbers"
+        raise InvalidInputError(f"{option} {text!r}: write {wanted} separated by commas")
     return found
 
 

@@ -163,7 +163,8 @@ def _problem_or_task(args: argparse.Namespace) -> PlanningProblem | Task:
     if len(given) != 1 or motion_given(args) or args.scene:
         raise InvalidInputError(
             f"name a suite ({', '.join(SUITES)}), or give --problem-file or --task-file, or "
-            "--start and --goal, alone or with --cloud or --scene: one of the four"
+            "--start and --goal, alone or with --cloud or --scene: one of the four; cvqmpt "
+            "problems new mine.json --robot ur5 writes a first problem"
         )
     if args.suite is not None:
         suite_named(args.suite)  # an unknown name is refused before anything is compiled

@@ -88,12 +88,17 @@ def configuration(robot: Robot, option: str, text: str) -> np.ndarray:
 
 
 def name_file(args: argparse.Namespace) -> None:
-    """Store SUITE|FILE as --problem-file or --task-file if it is a file; refuse a URDF."""
+    """Store SUITE|FILE as --problem-file or --task-file if it is a file; refuse URDF and YAML."""
     for given in (args.suite, args.problem_file):
         if given is not None and Path(given).suffix in (".urdf", ".xacro"):
             raise InvalidInputError(
                 f"{given} is the description of a robot, not a problem; write one with: cvqmpt "
                 f"problems new mine.json --urdf {given}"
+            )
+        if given is not None and Path(given).suffix in (".yaml", ".yml"):
+            raise InvalidInputError(
+                f"{given}: a problem file is JSON, not YAML; write an example with: cvqmpt "
+                "problems new mine.json --robot ur5; a scene of MoveIt: cvqmpt problems import"
             )
     if args.suite is None or args.suite in SUITES:
         return

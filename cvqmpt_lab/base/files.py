@@ -14,7 +14,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cvqmpt_lab.base.errors import InvalidInputError, require_choice, shown
+from cvqmpt_lab.base.errors import InvalidInputError, nearest, require_choice, shown
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
@@ -118,7 +118,10 @@ def read_bytes(path: Path, what: str = "file") -> bytes:
     try:
         return path.read_bytes()
     except OSError as error:
-        raise InvalidInputError(f"cannot read {what} {path}: {error.strerror}") from error
+        near = ""
+        if isinstance(error, FileNotFoundError) and path.parent.is_dir():
+            near = nearest(path.name, (other.name for other in path.parent.iterdir()))
+        raise InvalidInputError(f"cannot read {what} {path}: {error.strerror}{near}") from error
     except ValueError as error:  # e.g. a null character in the name
         raise InvalidInputError(f"cannot read {what} {shown(str(path))}: {error}") from error
 
