@@ -39,6 +39,7 @@ from cvqmpt_lab.planning.planners import PLANNERS, default_planner, planner_name
 from cvqmpt_lab.planning.solution import Solution
 from cvqmpt_lab.planning.warm_up import warm_up
 from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.robot.robot import SLOW_SPEED
 from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.search.result import Budget, JointPath
 from cvqmpt_lab.show.bodies import (
@@ -68,6 +69,7 @@ class Request:
     start: np.ndarray | None = None  # pose of the hand (4, 4) [m]; None: the problem's start
     goal: np.ndarray | None = None  # pose of the hand (4, 4) [m]; None: the problem's goals
     moved: Mapping[str, np.ndarray] = field(default_factory=dict)  # T_world_object by name
+    clearance: float = Margin().metres  # to obstacles [m]; less where start or goals have less
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,8 +225,9 @@ class Studio:
                 warm_up(self.problem, method, "compiled")
                 began = time.perf_counter()
             problem = self._problem_of(request)
+            margin = Margin(request.clearance).check()
             found, _ = solve_with_margin(
-                problem, method, self._budget, 0, Margin(), near_goals_first=True
+                problem, method, self._budget, 0, margin, near_goals_first=True
             )
             if found.solved:
                 seconds = time.perf_counter() - began
@@ -258,10 +261,12 @@ class Studio:
             problem = problem.changed(goals=goals, goal_region=None)
         return problem
 
-    def saved(self, kind: str) -> tuple[str, bytes]:
+    def saved(self, kind: str, speed: float = SLOW_SPEED) -> tuple[str, bytes]:
         """Name and content of a file.
 
-        kind: "problem", "page", "picture" or "trajectory" of the last certified path.
+        Args:
+            kind: "problem", "page", "picture" or "trajectory" of the last certified path.
+            speed: fraction of the joint limits that a trajectory uses.
         """
         response, path = self.response, self.response.path
         if path is None:
@@ -275,7 +280,10 @@ class Studio:
             case "picture":
                 return "plan.png", png_of(response.solution) or b""
             case "trajectory":
-                return "motion.json", as_ros_json(certified_motion(response.problem, path)).encode()
+                from cvqmpt_lab.trajectory.timing import TimingSettings  # half a second to import
+
+                motion = certified_motion(response.problem, path, TimingSettings(speed))
+                return "motion.json", as_ros_json(motion).encode()
         raise UnknownChoiceError("file", kind, ("problem", "page", "picture", "trajectory"))
 
 
@@ -356,14 +364,23 @@ class StudioPage:
         self._chosen.on_update(lambda event: self._mark_chosen())
         switch(gui.add_button("undo")).on_click(lambda event: live.undo())
         switch(gui.add_button("reset")).on_click(lambda event: live.reset())
-        self._slider = gui.add_slider("along the path", 0.0, 1.0, 0.01, 0.0)
-        guard.values[self._slider._impl.uuid] = partial(is_number, least=0.0, most=1.0)
+
+        def slider(label: str, least: float, most: float, step: float, value: float) -> Any:
+            element = gui.add_slider(label, least, most, step, value)
+            guard.values[element._impl.uuid] = partial(is_number, least=least, most=most)
+            return element
+
+        self._slider = slider("along the path", 0.0, 1.0, 0.01, 0.0)
         self._slider.on_update(lambda event: self._pose_robot())
+        # of the joint limits, for play and for a saved trajectory
+        self._speed = slider("speed", 0.05, 1.0, 0.05, SLOW_SPEED)
         switch(gui.add_button("play")).on_click(self._play)
         planner = choice("planner", live.planners)
         planner.on_update(lambda event: live.set_planner(event.target.value))
         constraint = choice("constraint", tuple(live.constraints))
         constraint.on_update(lambda event: live.set_constraint(event.target.value))
+        clearance = slider("clearance [mm]", 0.0, 100.0, 1.0, 1e3 * live.request.clearance)
+        clearance.on_update(lambda event: live.submit(clearance=1e-3 * event.target.value))
         with gui.add_folder("details", expand_by_default=False):
             self._text = gui.add_markdown("planning ...")
         with gui.add_folder("layers", expand_by_default=False):
@@ -419,7 +436,7 @@ class StudioPage:
     def _save(self, kind: str, event: Any) -> None:
         """Send a file to the tab whose button was pressed."""
         try:
-            name, content = self.live.saved(kind)
+            name, content = self.live.saved(kind, self._speed.value)
             event.client.send_file_download(name, content, save_immediately=True)
             said = f"{name} is in the folder of this browser's downloads"
             event.client.add_notification(f"{kind} saved", said, color="green")
@@ -430,7 +447,7 @@ class StudioPage:
         """Move the slider along the path."""
         for k in range(101):
             self._slider.value = 0.01 * k
-            time.sleep(0.04)
+            time.sleep(0.004 / self._speed.value)  # 4 s at 0.1 of the joint limits
 
     async def _drag(self, name: str, event: Any) -> None:
         """Submit the pose of a gizmo; viser calls coroutines in order, functions perhaps not."""

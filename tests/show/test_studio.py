@@ -15,6 +15,7 @@ from refusals import refused
 
 from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.certificate.certificate import certify
+from cvqmpt_lab.planning.margins import Margin
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.show.meshes import shape_mesh
 from cvqmpt_lab.show.studio import Studio, state_of, studio, text_of
@@ -137,6 +138,14 @@ def test_constraint_and_planner_are_chosen(fresh):
     assert layers[-3:] == ["cloud", "Gaussians", "Gaussians"]  # before and after Algorithm 2
 
 
+def test_a_clearance_is_kept_and_a_wrong_one_is_refused(fresh):
+    response = fresh.wait(fresh.submit(clearance=0.5))
+    assert response.verdict == "no path" and "margin 0.5: give a number" in response.message
+    response = fresh.wait(fresh.submit(clearance=0.0))
+    assert response.verdict == "certified"
+    fresh.submit(clearance=Margin().metres)
+
+
 def test_files_hold_the_path_that_is_shown(fresh, tmp_path):
     response = fresh.wait(fresh.move_goal(lifted(hand(fresh.response, -1), 0.02)))
     for kind in ("problem", "page", "picture", "trajectory"):
@@ -148,6 +157,8 @@ def test_files_hold_the_path_that_is_shown(fresh, tmp_path):
     assert (tmp_path / "plan.png").read_bytes().startswith(b"\x89PNG")
     motion = read_motion(tmp_path / "motion.json")
     assert motion.positions[[0, -1]] == pytest.approx(response.path.states[[0, -1]])
+    (tmp_path / "fast.json").write_bytes(fresh.saved("trajectory", speed=1.0)[1])
+    assert read_motion(tmp_path / "fast.json").times[-1] < 0.5 * motion.times[-1]
     refused("unknown file 'film'; valid choices: problem", fresh.saved, "film")
 
 
