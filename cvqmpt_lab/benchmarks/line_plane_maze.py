@@ -22,8 +22,6 @@ from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, Cylinder
 
-DOWN = np.diag([1.0, -1.0, -1.0])  # orientation of a hand that points down
-
 
 def line_problem(index: int) -> PlanningProblem | UnsolvableProblem:
     """Return a problem in which the fingertips stay on a line along y, within 2.5 mm.
@@ -155,17 +153,19 @@ def _in_maze(index: int, rng: np.random.Generator) -> PlanningProblem | Unsolvab
 
 
 def _fingertips(
-    place: Sequence[float] | np.ndarray, bounds: Sequence[float], axes: np.ndarray = DOWN
+    place: Sequence[float] | np.ndarray, bounds: Sequence[float], axes: np.ndarray | None = None
 ) -> TaskSpaceRegion:
     """Return the region of the point between the fingertips at a place, the hand pointing down.
 
     Args:
         place: (3,) [m].
         bounds: (6,), of the displacement along and about the axes [m, rad].
-        axes: axes of the displacement in the world (3, 3).
+        axes: axes of the displacement in the world (3, 3); None: those of the hand.
     """
+    down = np.diag([1.0, -1.0, -1.0])  # orientation of the hand
+    axes = down if axes is None else axes
     tip = pose((0.0, 0.0, -0.105))  # the hand's frame, seen from the fingertips
-    return symmetric_region(rigid(axes, place), rigid(axes.T @ DOWN) @ tip, bounds)
+    return symmetric_region(rigid(axes, place), rigid(axes.T @ down) @ tip, bounds)
 
 
 def _walls(cells: tuple[int, int], rng: np.random.Generator) -> list[tuple[np.ndarray, np.ndarray]]:

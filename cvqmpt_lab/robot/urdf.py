@@ -65,9 +65,6 @@ class Joint:
         return min(max(0.0, self.lower), self.upper) if self.lower <= self.upper else 0.0
 
 
-LOCKED = "locked by name"  # reason of a joint in `RobotSource.locked`
-
-
 @dataclass(frozen=True, eq=False)
 class Urdf:
     """The content of a URDF file, whose links and joints form a tree."""
@@ -257,7 +254,7 @@ def held_joints(
                 f"joint {name!r} cannot be locked at {number:g} rad, more than 2 pi: degrees? "
                 "Give radians"
             )
-        held[name] = HeldJoint(name, number, LOCKED)
+        held[name] = HeldJoint(name, number, "locked by name")
     chains = {name: {joint.name for joint in urdf.chain(name)} for name in end_effectors}
     chain = set[str]().union(*chains.values())
     free = {name: joint for name, joint in movable.items() if name not in held}
