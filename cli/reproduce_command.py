@@ -4,6 +4,7 @@ Runs give rows, tables, verdicts and a report, figures their numbers.
 """
 
 import argparse
+import math
 import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -20,6 +21,7 @@ from cvqmpt_lab.cli.options import (
     Options,
     ProgressBar,
     compiling,
+    log,
     one_of,
     option,
     own_command,
@@ -34,11 +36,14 @@ from cvqmpt_lab.experiments.experiment import PROFILES, Experiment, parts_of, pl
 from cvqmpt_lab.experiments.figures.code_update import UpdateSettings
 from cvqmpt_lab.experiments.figures.paper import FIGURES, reproduce_figure, summary
 from cvqmpt_lab.experiments.run import default_jobs, executor_for, run_experiment
+from cvqmpt_lab.paper_tables.committed import RESULTS
+from cvqmpt_lab.paper_tables.measures import grouped
 from cvqmpt_lab.paper_tables.rendering import render_directory
 from cvqmpt_lab.paper_tables.table_engine import by_planner
 from cvqmpt_lab.planning.planners import PLANNERS
 from cvqmpt_lab.planning.warm_up import compile_kernels
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE
+from cvqmpt_lab.results.row import RUNS_FILE, read_rows
 from cvqmpt_lab.results.store import directory_rows
 from cvqmpt_lab.tasks.task import Task
 
@@ -80,11 +85,38 @@ def run(args: argparse.Namespace) -> None:
         reach=args.reach,
         optimize=optimize_budget(args),
     )
-    out = args.out or Path("runs") / suite.name
+    out, jobs = args.out or Path("runs") / suite.name, args.jobs or default_jobs()
     compile_kernels(compiling())
-    with executor_for(experiment, args.jobs or default_jobs(), args.dask) as executor:
+    log(duration_line(experiment, jobs))
+    with executor_for(experiment, jobs, args.dask) as executor:
         run_experiment(experiment, out, executor, own_command(), ProgressBar(suite.name))
     show_tables(out)
+
+
+def duration_line(experiment: Experiment, jobs: int) -> str:
+    """Return how long a suite takes, by the times of its planners in committed rows, if any.
+
+    The times do not contain certificates, and runs that are already done are counted.
+    """
+    path = RESULTS / Path(experiment.suite).name / RUNS_FILE
+    rows = read_rows(path) if path.is_file() else []
+    groups = grouped((row.planner, row) for row in rows if row.planner in experiment.planners)
+    limit, seconds = experiment.budget.seconds or math.inf, 0.0
+    if suite_named(experiment.suite).of_tasks:  # each phase has the limit, perhaps several times
+        limit = math.inf
+    for planner in experiment.planners:
+        own = groups.get(planner, [])
+        spent = sum(min(row.t_total_s or 0.0, limit) for row in own)
+        each = spent / len({row.run_key for row in own}) if own else limit
+        if math.isinf(each):
+            return f"{experiment.suite}: {len(experiment.runs)} runs on {jobs} processes"
+        seconds += each * len(experiment.problems) * len(experiment.seeds) / jobs
+    known = "about" if len(groups) == len(experiment.planners) else "at most about"
+    shown = f"{seconds:.0f} s" if seconds < 90.0 else f"{seconds / 60.0:.0f} min"
+    return (
+        f"{experiment.suite}: {len(experiment.runs)} runs on {jobs} processes take {known} {shown} "
+        "of planning"
+    )
 
 
 class OverallProgress:
@@ -133,6 +165,7 @@ def _reproduce_all(args: argparse.Namespace) -> None:
     for name, experiment, command in parts:
         folder = out / name
         command += ["--profile", args.profile, "--jobs", str(jobs), "--out", str(folder)]
+        log(duration_line(experiment, jobs))
         with executor_for(experiment, jobs) as executor:
             run_experiment(experiment, folder, executor, command, overall.bar(name, experiment))
         render_directory(folder)
@@ -156,7 +189,8 @@ OPTIONS: Options = {
         metavar="DIR",
     ),
     "--profile": option(
-        f"with {ALL}: {', '.join(PROFILES)}; three hours, or 1 to 3 minutes, on two cores (full)",
+        f"with {ALL}: {', '.join(PROFILES)}; three hours, 20 minutes for Tables I and II "
+        "with the paper's planners, or 1 to 3 minutes, on two cores (full)",
         default="full",
     ),
     "--problems": option(

@@ -77,7 +77,9 @@ def _statuses() -> dict[str, tuple[FailReason, ...]]:
 def _properties() -> Mapping[str, Callable[[ResultRow], Any]]:
     """Return the properties of a run by name and SQL type, in OMPL's words where it has any."""
     statuses = _statuses()
-    place = {reason: k for k, found in enumerate(statuses.values()) for reason in found}
+    place: dict[FailReason | None, int] = {
+        reason: k for k, found in enumerate(statuses.values()) for reason in found
+    }
     solved = [*statuses].index("Exact solution")
     return {
         "problem TEXT": attrgetter("problem"),

@@ -93,6 +93,7 @@ def _place_suites() -> list[Suite]:
                 Amount(problems=60, cutoff=5.0, planners=controlled, folder="controls"),
                 Amount(planners=PlannerGroups.slow, late=True),
                 Amount(problems=30, planners=("ompl-bkpiece",), late=True),
+                Amount(profile="paper", planners=PlannerGroups.paper),
                 Amount(profile="small", problems=10, cutoff=2.0),
                 Amount(
                     profile="small",
@@ -525,6 +526,7 @@ def _task_suites() -> list[Suite]:
             amounts=(
                 Amount(planners=PlannerGroups.quick),
                 Amount(problems=16, planners=PlannerGroups.slow, late=True),
+                Amount(profile="paper", problems=10, planners=PlannerGroups.paper),
                 Amount(profile="small", problems=2, cutoff=2.0, planners=PlannerGroups.few),
             ),
         ),

@@ -49,6 +49,7 @@ class PlannerGroups:
         *("mpnet-bridged", "cvq-mpt", "opt-cvq-mpt", "cvq-wide", "cvq-tuned", "roadmap-cvq"),
     )
     slow = ("atlas-rrt", "tb-rrt")  # most of their time goes into runs that time out
+    paper = ("ompl-projected", *slow, "mpnet", "cvq-mpt", "opt-cvq-mpt")  # Tables I and II
     every = (*quick[:4], *slow, "ompl-bkpiece", *quick[4:])
     # the paper's experiment, in suites of its own
     in_ompl = ("ompl-uniform", "ompl-mpnet", "ompl-cvq", "ompl-opt-cvq", "ompl-cvq-tuned")

@@ -8,7 +8,7 @@ import pytest
 from cvqmpt_lab.base.errors import UnknownChoiceError
 from cvqmpt_lab.benchmarks.declarations import SUITES
 from cvqmpt_lab.benchmarks.suite_parts import Amount, PlannerGroups
-from cvqmpt_lab.cli.reproduce_command import OverallProgress
+from cvqmpt_lab.cli.reproduce_command import OverallProgress, duration_line
 from cvqmpt_lab.experiments import experiment
 from cvqmpt_lab.experiments.experiment import Experiment, parts_of
 from cvqmpt_lab.paper_tables.statements import CLAIMS
@@ -53,6 +53,14 @@ def test_it_writes_rows_tables_verdicts_and_the_report_and_goes_on_where_it_was(
     rows = (tmp_path / "place-task" / RUNS_FILE).read_bytes()
     cvqmpt(words)
     assert (tmp_path / "place-task" / RUNS_FILE).read_bytes() == rows
+
+
+def test_the_profile_of_the_paper_is_said_to_take_less_than_20_minutes():
+    parts = parts_of("paper")
+    assert [part.folder for part in parts] == ["place-task", "multi-sequence"]
+    told = [duration_line(part.experiment, 2) for part in parts]
+    assert told[0].startswith("place-task: 900 runs on 2 processes take about ")
+    assert sum(int(line.partition(" about ")[2].partition(" min")[0]) for line in told) < 20
 
 
 def test_the_time_left_of_all_suites_counts_what_is_still_to_be_made(capsys, monkeypatch):
