@@ -2,6 +2,7 @@
 
 import io
 import math
+import re
 from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
@@ -106,8 +107,9 @@ def figure_bytes(figure: Figure, kind: str, dpi: int = 160) -> bytes:
 
 
 def svg(figure: Figure) -> str:
-    """Return a figure as svg."""
+    """Return a figure as svg; coordinates have one decimal, a tenth of a pixel."""
     text = figure_bytes(figure, "svg", 72).decode("utf-8")
+    text = re.sub(r'(?<= d=")[^"]*', lambda path: re.sub(r"(\.\d)\d+", r"\1", path[0]), text)
     return text[text.index("<svg") :]
 
 
