@@ -87,9 +87,9 @@ def run(args: argparse.Namespace) -> None:
     )
     out, jobs = args.out or Path("runs") / suite.name, args.jobs or default_jobs()
     compile_kernels(compiling())
-    log(duration_line(experiment, jobs))
+    bar = _announced(duration_line(experiment, jobs), ProgressBar(suite.name))
     with executor_for(experiment, jobs, args.dask) as executor:
-        run_experiment(experiment, out, executor, own_command(), ProgressBar(suite.name))
+        run_experiment(experiment, out, executor, own_command(), bar)
     show_tables(out)
 
 
@@ -98,7 +98,8 @@ def duration_line(experiment: Experiment, jobs: int) -> str:
 
     The times do not contain certificates, and runs that are already done are counted.
     """
-    path = RESULTS / Path(experiment.suite).name / RUNS_FILE
+    suite = Path(experiment.suite).name
+    path = RESULTS / suite / RUNS_FILE
     rows = read_rows(path) if path.is_file() else []
     groups = grouped((row.planner, row) for row in rows if row.planner in experiment.planners)
     limit, seconds = experiment.budget.seconds or math.inf, 0.0
@@ -109,14 +110,25 @@ def duration_line(experiment: Experiment, jobs: int) -> str:
         spent = sum(min(row.t_total_s or 0.0, limit) for row in own)
         each = spent / len({row.run_key for row in own}) if own else limit
         if math.isinf(each):
-            return f"{experiment.suite}: {len(experiment.runs)} runs on {jobs} processes"
+            return f"{suite}: {len(experiment.runs)} runs on {jobs} processes"
         seconds += each * len(experiment.problems) * len(experiment.seeds) / jobs
     known = "about" if len(groups) == len(experiment.planners) else "at most about"
     shown = f"{seconds:.0f} s" if seconds < 90.0 else f"{seconds / 60.0:.0f} min"
     return (
-        f"{experiment.suite}: {len(experiment.runs)} runs on {jobs} processes take {known} {shown} "
-        "of planning"
+        f"{suite}: {len(experiment.runs)} runs on {jobs} processes take {known} {shown} of planning"
     )
+
+
+def _announced(line: str, show: Callable[[int, int, str], None]) -> Callable[[int, int, str], None]:
+    """Return a progress function that prints a line before its first call, after all refusals."""
+    lines = [line]
+
+    def announced(done: int, total: int, note: str) -> None:
+        while lines:
+            log(lines.pop())
+        show(done, total, note)
+
+    return announced
 
 
 class OverallProgress:
@@ -165,9 +177,9 @@ def _reproduce_all(args: argparse.Namespace) -> None:
     for name, experiment, command in parts:
         folder = out / name
         command += ["--profile", args.profile, "--jobs", str(jobs), "--out", str(folder)]
-        log(duration_line(experiment, jobs))
+        bar = _announced(duration_line(experiment, jobs), overall.bar(name, experiment))
         with executor_for(experiment, jobs) as executor:
-            run_experiment(experiment, folder, executor, command, overall.bar(name, experiment))
+            run_experiment(experiment, folder, executor, command, bar)
         render_directory(folder)
     figure, count = "histogram", 30
     folder = out / figure
