@@ -471,7 +471,4 @@ def _off_manifold(
         cure = f"{against}; move, widen or leave out a region"
     off = np.linalg.norm(problem.manifold.residual(states), axis=1).min()
     violated = ", ".join(filter(None, bounds)) or "the constraint by rounding"
-    if label == "start" and "`upright`" in violated and len(problem.robot.end_effectors) == 1:
-        axis = upper_axis(problem.robot.pose(q))
-        cure = f"the hand's axis {axis} points up there, is the constraint's 'axis' right? {cure}"
     return f"{broken} {violated}, |F| = {off:.3g}", cure

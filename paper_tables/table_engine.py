@@ -89,7 +89,7 @@ class SuiteTable:
 
     @property
     def brief(self) -> list[str]:
-        """Lines for a terminal: the first section, and one on fallbacks, if any."""
+        """Lines for a terminal: the first section, and what ∞ and fallbacks mean, if any."""
         first = [line for line in next(iter(self.sections.values())) if not isinstance(line, str)]
         lines = [line for part in writers.narrow(first) for line in text_lines(part)]
         told = [
@@ -98,7 +98,11 @@ class SuiteTable:
             if not item.suffix  # all rows of a planner
             and (count := _n_runs(row for row in item.rows if row.fallback))
         ]
-        return [*lines, *([f"by fallback: {', '.join(told)}"] if told else [])]
+        if any("∞" in line for line in lines):
+            lines.append("∞: a failed run counts as infinite; too many failed for a finite value")
+        if told:
+            lines.append(f"paths found by another method than the planner: {', '.join(told)}")
+        return lines
 
     @property
     def markdown(self) -> str:

@@ -23,7 +23,7 @@ from cvqmpt_lab.paper_tables.motion_bench_table import class_lines
 from cvqmpt_lab.paper_tables.plots import COLOURS, OURS, line_style, profile
 from cvqmpt_lab.paper_tables.rendering import render_directory, table_of
 from cvqmpt_lab.paper_tables.statements import read_published
-from cvqmpt_lab.paper_tables.table_engine import by_planner
+from cvqmpt_lab.paper_tables.table_engine import SuiteTable, by_planner
 from cvqmpt_lab.paper_tables.writers import latex_table
 from cvqmpt_lab.planning.planners import PLANNERS
 from cvqmpt_lab.results.row import RUNS_FILE, read_rows, write_rows
@@ -165,6 +165,11 @@ def test_a_roadmap_is_compared_by_the_work_of_birrt_and_where_it_held_no_path():
     counts = {"0 to 500": "1", "500 to 2000": "2", "any, and no path through the roadmap": "1"}
     assert {line[0]: line[1] for line in lines} == counts
     assert all(line[3].startswith("0.5") for line in lines)
+
+
+def test_a_table_in_the_terminal_says_what_infinity_means():
+    made = SuiteTable("place-task", "", (), {"": [["planner", "time [s]"], ["a", "∞"]]}, "")
+    assert made.brief[-1].startswith("∞: a failed run counts as infinite")
 
 
 def test_claims_without_rows_say_so_and_what_cannot_be_tested_too(tmp_path):
