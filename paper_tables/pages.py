@@ -98,7 +98,8 @@ def summary_lines(claims: Iterable[JudgedClaim]) -> Lines:
     for item in claims:
         cells = [NOTHING] * 4
         if (shown := item.deciding) is not None:
-            paper = NOTHING if shown.paper is None else shown.shown(shown.paper)
+            known = shown.paper is not None
+            paper = f"{shown.shown(shown.paper)} {shown.claim.unit}" if known else NOTHING
             cells = [shown.planner, shown.against, paper, shown.interval_text(shown.gain)]
         needed = NOTHING if item.needed is None else f"{item.needed} problems"
         lines.append([item.claim.title, *cells, str(item.word), needed])
