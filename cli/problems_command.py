@@ -13,7 +13,6 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from cvqmpt_lab.base.codec import from_plain, to_plain
 from cvqmpt_lab.base.errors import (
@@ -31,6 +30,7 @@ from cvqmpt_lab.base.files import (
     read_text,
     write_text,
 )
+from cvqmpt_lab.base.poses import rpy_of
 from cvqmpt_lab.benchmarks.declarations import SUITES
 from cvqmpt_lab.benchmarks.item import ExecutedProblem, SensedProblem, UnsolvableProblem
 from cvqmpt_lab.benchmarks.motion_bench import BENCH_ARCHIVE, BENCH_HANDS, fetch
@@ -230,7 +230,7 @@ def hand_lines(robot: Robot, q: np.ndarray) -> list[str]:
     lines = []
     for hand in robot.end_effectors:
         T = robot.pose(q, hand)
-        angles = Rotation.from_matrix(T[:3, :3]).as_euler("xyz")
+        angles = rpy_of(T[:3, :3])
         at, rpy = (
             " ".join(f"{x:.4f}" for x in values.round(4) + 0.0) for values in (T[:3, 3], angles)
         )

@@ -16,6 +16,7 @@ import numpy as np
 from cvqmpt_lab.base.codec import field_kinds, from_plain, to_plain
 from cvqmpt_lab.base.errors import InvalidInputError, require_choice
 from cvqmpt_lab.base.files import json_object, json_text, write_text
+from cvqmpt_lab.base.poses import rpy_of
 from cvqmpt_lab.cli.options import (
     REPEATED,
     Options,
@@ -234,9 +235,7 @@ def _constraint(text: str, robot: Robot, start: np.ndarray) -> TaskSpaceRegion:
     if name in ("upright", "upright-box"):
         fields["axis"] = upper_axis(robot.pose(start))
     if name == "fixed-orientation":
-        from scipy.spatial.transform import Rotation  # takes 0.3 s to import
-
-        fields["rpy"] = Rotation.from_matrix(robot.pose(start)[:3, :3]).as_euler("xyz").tolist()
+        fields["rpy"] = rpy_of(robot.pose(start)[:3, :3]).tolist()
     if name == "relative-pose":
         hand = next((hand for hand in robot.end_effectors if hand != value), None)
         if hand is None:

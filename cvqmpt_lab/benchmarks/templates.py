@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from cvqmpt_lab.base.codec import from_plain
 from cvqmpt_lab.base.errors import InvalidInputError
-from cvqmpt_lab.base.poses import pose
+from cvqmpt_lab.base.poses import pose, rpy_of
 from cvqmpt_lab.benchmarks.two_arms import two_arms_template
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.goals import SAMPLE_MARGIN_M, goals_in_any_posture
@@ -234,7 +234,7 @@ def _goal(robot: Robot, goal: np.ndarray) -> dict[str, Any]:
     if robot.dof <= 5:
         return {"goals": [goal.tolist()]}
     T_world_goal = robot.pose(goal)
-    rpy = Rotation.from_matrix(T_world_goal[:3, :3]).as_euler("xyz")
+    rpy = rpy_of(T_world_goal[:3, :3])
     at = {"xyz": T_world_goal[:3, 3].round(3).tolist(), "rpy": rpy.round(4).tolist()}
     return {"goal_region": {"pose": {"at": at, "position": 0.01, "tilt": 0.02, "yaw": 3.15}}}
 
