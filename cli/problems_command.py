@@ -30,7 +30,6 @@ from cvqmpt_lab.base.files import (
     read_text,
     write_text,
 )
-from cvqmpt_lab.base.poses import rpy_of
 from cvqmpt_lab.benchmarks.declarations import SUITES
 from cvqmpt_lab.benchmarks.item import ExecutedProblem, SensedProblem, UnsolvableProblem
 from cvqmpt_lab.benchmarks.motion_bench import BENCH_ARCHIVE, BENCH_HANDS, fetch
@@ -55,7 +54,7 @@ from cvqmpt_lab.cli.problem_arguments import (
 )
 from cvqmpt_lab.cli.problem_options import ROBOT, pose_region
 from cvqmpt_lab.constraints.goals import SAMPLE_MARGIN_M, find_in_region
-from cvqmpt_lab.constraints.named import Region, upper_axis
+from cvqmpt_lab.constraints.named import Region, rpy_of, upper_axis
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.planning.pipeline import with_drawn_goals
 from cvqmpt_lab.problem import PlanningProblem

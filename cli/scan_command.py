@@ -16,7 +16,6 @@ import numpy as np
 from cvqmpt_lab.base.codec import field_kinds, from_plain, to_plain
 from cvqmpt_lab.base.errors import InvalidInputError, require_choice
 from cvqmpt_lab.base.files import json_object, json_text, write_text
-from cvqmpt_lab.base.poses import rpy_of
 from cvqmpt_lab.cli.options import (
     REPEATED,
     Options,
@@ -31,7 +30,7 @@ from cvqmpt_lab.cli.problem_arguments import chosen_robot, configuration
 from cvqmpt_lab.cli.problem_options import ROBOT, SCAN
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.goals import SAMPLE_MARGIN_M, sample_region
-from cvqmpt_lab.constraints.named import NAMED_REGIONS, Region, upper_axis
+from cvqmpt_lab.constraints.named import NAMED_REGIONS, Region, rpy_of, upper_axis
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot

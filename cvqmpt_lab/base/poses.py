@@ -1,7 +1,6 @@
 """Rigid poses: 4x4 arrays `T_a_b` map points of frame b into frame a; [m] and [rad]."""
 
 import math
-import warnings
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any
@@ -58,15 +57,6 @@ def rotation_of_rpy(roll: float, pitch: float, yaw: float) -> list[list[float]]:
     # first the quaternion of Ry Rx, then of Rz Ry Rx
     x, y, z, w = q * a, b * p, -b * a, q * p
     return _of_quaternion(r * x - c * y, r * y + c * x, r * z + c * w, r * w - c * z)
-
-
-def rpy_of(R: np.ndarray) -> np.ndarray:
-    """Return roll, pitch and yaw (3,) [rad] of a rotation (3, 3); yaw is 0 at a pitch of 90 deg."""
-    from scipy.spatial.transform import Rotation  # takes 0.3 s
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # at that pitch, roll and yaw are not unique
-        return Rotation.from_matrix(R).as_euler("xyz")
 
 
 def ros_vector(value: Any) -> Any:

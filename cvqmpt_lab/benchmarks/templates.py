@@ -11,11 +11,11 @@ from scipy.spatial.transform import Rotation
 
 from cvqmpt_lab.base.codec import from_plain
 from cvqmpt_lab.base.errors import InvalidInputError
-from cvqmpt_lab.base.poses import pose, rpy_of
+from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.benchmarks.two_arms import two_arms_template
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.goals import SAMPLE_MARGIN_M, goals_in_any_posture
-from cvqmpt_lab.constraints.named import upper_axis
+from cvqmpt_lab.constraints.named import rpy_of, upper_axis
 from cvqmpt_lab.constraints.no_goal import hand_reach
 from cvqmpt_lab.constraints.region_constraint import RegionConstraint
 from cvqmpt_lab.constraints.task_space_region import FREE, ROWS_TEXT, Axis, TaskSpaceRegion, upright

@@ -5,6 +5,7 @@ A new name is a function that returns a region, here or in a file of its own, an
 """
 
 import json
+import warnings
 from collections.abc import Mapping
 from typing import Annotated, Any, get_args
 
@@ -210,3 +211,12 @@ class RegionForm:
 
 
 Region = Annotated[TaskSpaceRegion, RegionForm()]
+
+
+def rpy_of(R: np.ndarray) -> np.ndarray:
+    """Return roll, pitch and yaw (3,) [rad] of a rotation (3, 3); yaw is 0 at a pitch of 90 deg."""
+    from scipy.spatial.transform import Rotation  # takes 0.3 s
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # at that pitch, roll and yaw are not unique
+        return Rotation.from_matrix(R).as_euler("xyz")
