@@ -18,7 +18,8 @@ from cvqmpt_lab.certificate.certificate import certify
 from cvqmpt_lab.planning.margins import Margin
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.show.meshes import shape_mesh
-from cvqmpt_lab.show.studio import Studio, state_of, studio, text_of
+from cvqmpt_lab.show.studio import state_of, studio, text_of
+from cvqmpt_lab.show.studio_planning import Studio
 from cvqmpt_lab.trajectory.trajectory import read_motion
 
 FAR = pose((9.0, 0.0, 0.5))

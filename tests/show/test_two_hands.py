@@ -12,7 +12,7 @@ from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.show import picture
 from cvqmpt_lab.show.recording import log_solution
-from cvqmpt_lab.show.studio import Studio
+from cvqmpt_lab.show.studio_planning import Studio
 from cvqmpt_lab.show.web_page import save_page
 from cvqmpt_lab.trajectory.timing import TimingSettings
 
