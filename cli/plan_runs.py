@@ -231,12 +231,10 @@ def _at_rate(rate: float | None, problem: PlanningProblem, motion: "Trajectory")
     """Return a motion with at least `rate` states a second [Hz], certified; None: as it is."""
     if rate is None:
         return motion
-    from cvqmpt_lab.certificate.motion_check import dry_run
-    from cvqmpt_lab.trajectory.trajectory import Motion
+    from cvqmpt_lab.certificate.motion_check import trajectory_faults
 
     sampled = motion.sampled(1.0 / rate)
-    states = sampled.positions, sampled.times, sampled.velocities, sampled.accelerations
-    reasons = dry_run(problem, Motion(sampled.joint_names, *states)).certificate.reasons
+    reasons = trajectory_faults(problem, sampled)
     if reasons:
         raise InvalidInputError(
             f"--rate {rate:g}: the motion between these states is not certified: "

@@ -10,6 +10,7 @@ from cvqmpt_lab.constraints.bounds_between import ROTATION_RATE, bound_between
 from cvqmpt_lab.constraints.report import displaced, excess
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.geometry.polyline import numbered_parts, parts_within, states_between
+from cvqmpt_lab.robot.joint_frames import poses_at_once
 from cvqmpt_lab.robot.robot import Robot
 
 CUTS = 4  # times that stretches are cut at most
@@ -135,7 +136,7 @@ def evenly_spaced(states: np.ndarray, spacing: float) -> np.ndarray:
 
 def _displacements(robot: Robot, region: TaskSpaceRegion, states: np.ndarray) -> np.ndarray:
     """Return displacements (m, 7) as `report.displacements`, of all states (m, n) at once."""
-    poses = robot.poses_at_once(states, region.end_effector)
+    poses = poses_at_once(robot, states, region.end_effector)
     return displaced(region, poses, region.reference_poses(robot, states))
 
 

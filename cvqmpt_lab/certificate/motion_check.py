@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -68,12 +69,14 @@ def certified_motion(
         raise InvalidInputError("the path does not move: there is nothing to time")
     states[-1] = path.states[-1]
 
-    def faults(motion: Trajectory) -> Sequence[str]:
-        states = (motion.positions, motion.times, motion.velocities, motion.accelerations)
-        moving = Motion(motion.joint_names, *states)
-        return dry_run(problem, moving).certificate.reasons
-
+    faults = partial(trajectory_faults, problem)
     return time_path(states, problem.robot.joint_limits, settings, faults, problem.dynamics)
+
+
+def trajectory_faults(problem: PlanningProblem, motion: Trajectory) -> Sequence[str]:
+    """Return why a trajectory is not certified for a problem; empty: it is."""
+    states = (motion.positions, motion.times, motion.velocities, motion.accelerations)
+    return dry_run(problem, Motion(motion.joint_names, *states)).certificate.reasons
 
 
 def dry_run(

@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from cvqmpt_lab.robot.hulls import enclosing_points
+from cvqmpt_lab.robot.joint_frames import joint_frames
 from cvqmpt_lab.robot.robot import Robot
 
 
@@ -20,7 +21,7 @@ class Sweep:
     """
 
     def __init__(self, robot: Robot, geometry: pin.GeometryModel, links: Sequence[int]) -> None:
-        self.frames = robot.joint_frames
+        self.frames = joint_frames(robot)
         # bounds are of all joints' values: those of joints that mimic others are linear in q
         self._kinematics = robot.kinematics
         objects, joints = geometry.geometryObjects, robot.model.njoints

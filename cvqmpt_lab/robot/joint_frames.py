@@ -3,10 +3,13 @@
 The certificate uses them: they share no code with the planners' compiled kinematics.
 """
 
+from functools import lru_cache
+
 import numpy as np
 import pinocchio as pin
 
 from cvqmpt_lab.base.values import frozen
+from cvqmpt_lab.robot.robot import Robot
 
 
 class JointFrames:
@@ -57,3 +60,16 @@ class JointFrames:
     def axes(self, poses: np.ndarray) -> np.ndarray:
         """Return the axes (joints, k, 3) of joints in the world, from `poses`."""
         return (poses[1:, :, :3, :3] @ self._axes[:, None, :, None])[..., 0]
+
+
+@lru_cache(maxsize=8)
+def joint_frames(robot: Robot) -> JointFrames:
+    """Return the forward kinematics of a robot's joints."""
+    return JointFrames(robot.model)
+
+
+def poses_at_once(robot: Robot, q: np.ndarray, frame: str | None = None) -> np.ndarray:
+    """Return `Robot.poses` by numpy, faster for many configurations; they differ by rounding."""
+    placed = robot.model.frames[robot.frame_id(frame)]
+    links = joint_frames(robot).poses(robot.kinematics.joint_values(q))
+    return links[placed.parentJoint] @ placed.placement.homogeneous

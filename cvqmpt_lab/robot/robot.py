@@ -15,7 +15,6 @@ import pinocchio as pin
 
 from cvqmpt_lab.base.errors import InvalidInputError, few, require_choice
 from cvqmpt_lab.base.values import frozen
-from cvqmpt_lab.robot.joint_frames import JointFrames
 from cvqmpt_lab.robot.kinematics import Kinematics
 
 
@@ -428,7 +427,7 @@ class Robot:
 
     def poses(self, q: np.ndarray, frame: str | None = None) -> np.ndarray:
         """Return T_world_frame (k, 4, 4) at configurations (k, n), computed by pinocchio."""
-        frame_id = self._frame_id(frame)
+        frame_id = self.frame_id(frame)
         poses = np.empty((len(q), 4, 4))
         data = self.model.createData()
         values = self.kinematics.joint_values(np.asarray(q, dtype=float))
@@ -437,18 +436,7 @@ class Robot:
             T[:] = pin.updateFramePlacement(self.model, data, frame_id).homogeneous
         return poses
 
-    def poses_at_once(self, q: np.ndarray, frame: str | None = None) -> np.ndarray:
-        """Return `poses` by numpy, faster for many configurations; they differ by rounding."""
-        placed = self.model.frames[self._frame_id(frame)]
-        links = self.joint_frames.poses(self.kinematics.joint_values(q))
-        return links[placed.parentJoint] @ placed.placement.homogeneous
-
-    @cached_property
-    def joint_frames(self) -> JointFrames:
-        """Forward kinematics of many configurations at once, for the certificate."""
-        return JointFrames(self.model)
-
-    def _frame_id(self, frame: str | None) -> int:
+    def frame_id(self, frame: str | None) -> int:
         """Return pinocchio's number of a body frame, or of the end effector for None."""
         name = frame or self.end_effector
         if not self.model.existFrame(name, pin.FrameType.BODY):
