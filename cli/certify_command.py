@@ -74,7 +74,7 @@ def _certify_task(args: argparse.Namespace) -> int:
     for problem, motion in zip(problems, motions, strict=True):
         found = dry_run(problem, motion, exact_clearance=True)
         records.append(record(problem, motion, found))
-        kept = ("certified", "fault", "clearance")
+        kept = ("certificate", "fault", "clearance")
         lines += [line for line in report_lines(found, records[-1]) if line.startswith(kept)]
     valid = sum(contents["valid"] for contents in records)
     whole = valid == len(records)
@@ -143,8 +143,10 @@ def _certify_run(directory: Path, problems_dir: Path | None, as_json: bool) -> i
     if as_json:
         print(json.dumps({**summary, "troubles": troubles}, indent=1))
     else:
-        counted = ", ".join(f"{count} {what}" for what, count in summary.items())
-        print(f"{counted}, {len(troubles)} differ from their rows")
+        print(
+            f"{summary['paths']} paths, {summary['certified']} certified, {summary['refused']} "
+            f"not certified, {len(troubles)} differ from their rows"
+        )
     return 1 if troubles else 0
 
 

@@ -137,7 +137,7 @@ def _planned(args: argparse.Namespace, problem: PlanningProblem) -> Trajectory:
     solution, _ = solve_with_margin(problem, method, budget(args), args.seed, margin)
     if not solution.solved or solution.path is None:
         raise InvalidInputError(
-            f"problem {problem.name} is not solved: {solution.plan.detail or solution.plan.status}"
+            f"problem {problem.name} is not solved: {solution.plan.detail or solution.status}"
             "; cvqmpt plan prints details"
         )
     return certified_motion(problem, solution.path, settings)

@@ -73,7 +73,7 @@ def _planned(run: Run, item: ExecutedProblem) -> Execute | str:
         problem, run.method, setup.budget, run.seed, Margin(), backend=setup.backend
     )
     if not solution.solved or solution.path is None:
-        return f"not planned: {solution.plan.status}"
+        return f"not planned: {solution.status}"
     motion = certified_motion(solution.problem, solution.path, timing)
     return partial(execute_motion, problem, motion)
 

@@ -104,9 +104,9 @@ def _compared(row: ResultRow, problem: PlanningProblem, states: np.ndarray) -> R
     if row.path_length_rad is None or abs(length - row.path_length_rad) > 1e-9:
         trouble = f"its path is {length:.6f} rad long, the row says {row.path_length_rad}"
     elif row.certified and not certificate.valid:
-        trouble = f"certified in the row, refused now: {'; '.join(certificate.reasons)}"
+        trouble = f"certified in the row, not certified now: {'; '.join(certificate.reasons)}"
     elif not row.certified and certificate.valid:
-        trouble = "refused in the row, certified now"
+        trouble = "not certified in the row, certified now"
     else:
         trouble = _other_number(row, certificate)
     return Recertified(row, certificate, trouble)

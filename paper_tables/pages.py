@@ -321,8 +321,8 @@ def _plots(groups: Mapping[str, Rows]) -> dict[str, dict[str, str]]:
 def _row(row: ResultRow) -> list[object]:
     """Return the cells of `REPORT_COLUMNS` for a row."""
     what = row.fallback or row.detail or ""
-    if not row.solved:
-        what = f"{row.fail_reason}: {row.detail or ''}"
+    if row.fail_reason is not None:
+        what = f"{row.fail_reason.shown}: {row.detail or ''}"
     numbers = (row.t_total_s, work(row), row.path_length_rad)
     time, effort, length = (None if number is None else round(number, 4) for number in numbers)
     return [row.problem, row.seed, row.solved, time, effort, row.vertices, length, what]

@@ -264,9 +264,10 @@ def fallback(row: ResultRow) -> tuple[str, str] | None:
 
 def failure(row: ResultRow) -> tuple[str, str] | None:
     """Return phase and reason, and details of a failed run; None for phases not reached."""
-    if row.fail_reason in (None, FailReason.NOT_REACHED):
+    reason = row.fail_reason
+    if reason is None or reason is FailReason.NOT_REACHED:
         return None
-    what = ": ".join(filter(None, (_phase(row), row.fail_reason)))
+    what = ": ".join(filter(None, (_phase(row), reason.shown)))
     return what, row.detail or "–"
 
 

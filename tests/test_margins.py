@@ -97,7 +97,9 @@ def test_no_margin_is_the_plain_solution(problem, solution):
 def test_the_status_of_a_path_that_is_refused_is_the_verdict(problem, solution):
     straight = JointPath(np.linspace(problem.start, solution.path.states[-1], 50))
     refused = replace(solution, certificate=certify(problem, straight))
-    assert "status      refused by the certificate" in refused.report()
+    said = refused.report()
+    assert "status      refused by the certificate" in said and refused.status == "refused"
+    assert any(line.startswith("certificate not certified: ") for line in said)
 
 
 def test_phases_of_a_task_keep_what_their_start_and_goals_allow(task):

@@ -28,7 +28,7 @@ END_TOLERANCE_RAD = 1e-6  # at start and goal
 class Verdict(StrEnum):
     """Verdict of a certificate; a path is certified only if it is VALID."""
 
-    VALID = "valid"  # no fault, and every state is proven
+    VALID = "certified"  # no fault, and every state is proven
     REFUSED = "refused"  # a fault was found
     NOT_PROVEN = "not proven"  # no fault was found, but a stretch could not be proven
 

@@ -19,7 +19,6 @@ from cvqmpt_lab.certificate.certificate import (
     Clearance,
     Deviation,
     FaultKind,
-    Verdict,
 )
 from cvqmpt_lab.certificate.motion_check import DryRun
 from cvqmpt_lab.collision.carried import carried_pairs, pairs_of_carried, reach_with
@@ -124,8 +123,8 @@ def report_lines(found: DryRun, contents: dict[str, Any]) -> list[str]:
     if found.times is not None:
         what = f"trajectory of {found.times[-1]:.3f} s, as {found.curve} pieces"
     states = "x".join(map(str, np.shape(found.states)))
-    verdict = {Verdict.VALID: "yes", Verdict.REFUSED: "NO"}.get(certificate.verdict, "NOT PROVEN")
-    lines = [f"certified   {verdict}: {what}, {states} states, problem {contents['problem']}"]
+    word = "certified" if certificate.valid else f"not certified: {certificate.verdict}"
+    lines = [f"certificate {word}; {what}, {states} states, problem {contents['problem']}"]
     for fault in certificate.faults:
         where = "" if fault.at is None else f", {_where(found, fault.at)}"
         lines.append(f"fault       {fault.text}{where}")

@@ -54,6 +54,12 @@ class Solution:
         return self.certificate is not None and self.certificate.valid
 
     @property
+    def status(self) -> str:
+        """Status of the planning run; "refused" if the certificate refused its path."""
+        refused = self.certificate is not None and not self.certificate.valid
+        return "refused" if refused else str(self.plan.status)
+
+    @property
     def bound_uses(self) -> tuple[BoundUse, ...]:
         """Used part of every bound of the constraint along the path, or at the start."""
         states = self.problem.start[None] if self.path is None else self.path.states
@@ -79,7 +85,7 @@ class Solution:
             *_left_out(self.left_out),
             f"constraint  {_bounds(self)}",
             f"planner     {f'{chosen}, {samples}' if planner else samples}",
-            f"status      {_status(plan, self.certificate)}",
+            f"status      {_status(self)}",
             f"time        {times}",
         ]
         if not plan.as_is:
@@ -118,14 +124,13 @@ def _bounds(solution: Solution) -> str:
     return "; ".join(map(str, uses)) + where
 
 
-def _status(plan: PlanResult, certificate: Certificate | None) -> str:
-    """Return the status, or the verdict of a certificate that does not accept the path.
-
-    It names the method that found the path if the planner has another name.
-    """
-    if certificate is not None and not certificate.valid:
-        return f"{certificate.verdict} by the certificate"
-    text = f"{plan.status} by {plan.fallback}" if plan.fallback else str(plan.status)
+def _status(solution: Solution) -> str:
+    """Return the status, and the method that found the path if the planner has another name."""
+    plan, text = solution.plan, solution.status
+    if text != plan.status:
+        return f"{text} by the certificate"
+    if plan.fallback:
+        text += f" by {plan.fallback}"
     if plan.status in (PlanStatus.TIMEOUT, PlanStatus.ITERATION_LIMIT):
         iterations = plan.counters.iterations
         text += f": no path found within {plan.seconds:.3g} s and {iterations} iterations"
@@ -148,9 +153,9 @@ def _gain(made: Improvement) -> str:
 
 def _certificate(certificate: Certificate) -> list[str]:
     """Return the lines of a certificate: verdict, smallest distances, tolerated deviation."""
-    verdict, proven = str(certificate.verdict), ", motion between them proven"
+    verdict, proven = "certified", ", motion between them proven"
     if not certificate.valid:
-        verdict, proven = f"{verdict.upper()}: {'; '.join(certificate.reasons)}", ""
+        verdict, proven = f"not certified: {'; '.join(certificate.reasons)}", ""
     lines = [
         f"certificate {verdict} ({certificate.states_checked} states{proven}, clearance "
         f"{_distances(certificate)})"
@@ -216,7 +221,7 @@ def solution_data(
         "planner": planner,
         "chosen_because": why,
         "sampler": plan.sampler,
-        "status": str(plan.status),
+        "status": solution.status,
         "fallback": plan.fallback,
         "detail": plan.detail,
         "solved": solution.solved,

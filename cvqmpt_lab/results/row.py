@@ -71,6 +71,11 @@ class FailReason(StrEnum):
     WORKER_HUNG = "worker_hung"
     OUT_OF_MEMORY = "out_of_memory"
 
+    @property
+    def shown(self) -> str:
+        """The reason as people read it: a refused path is "not certified: collision"."""
+        return self.replace("uncertified_", "not certified: ")
+
 
 RowKey = tuple[str, str, str, int, str]  # suite, problem, planner, seed, backend
 

@@ -296,7 +296,7 @@ def test_the_report_says_where_a_path_leaves_the_manifold_in_short_lines(tmp_pat
         cvqmpt("certify", tmp_path / f"{name}.csv", "place-task", code=1)
         for name in ("bent", "far")
     )
-    assert bent.startswith("certified   NO") and far.startswith("certified   NO")
+    assert all(said.startswith("certificate not certified: refused;") for said in (bent, far))
     assert "off the manifold by" in bent and "at state 40" in bent
     assert len(far.splitlines()) == 3 and max(map(len, far.splitlines())) < 120
 
@@ -325,7 +325,7 @@ def test_every_path_of_a_run_is_judged_again_from_its_rows(tmp_path, cvqmpt, cap
     with executor_for(experiment, 1) as executor:
         run_experiment(experiment, tmp_path, executor, ["test"], lambda *_: None)
     told = cvqmpt("certify", tmp_path)
-    assert told == "2 paths, 2 certified, 0 refused, 0 differ from their rows\n"
+    assert told == "2 paths, 2 certified, 0 not certified, 0 differ from their rows\n"
 
     rows = read_rows(tmp_path / RUNS_FILE)
     kept = dict(stored_paths(tmp_path))
@@ -335,7 +335,7 @@ def test_every_path_of_a_run_is_judged_again_from_its_rows(tmp_path, cvqmpt, cap
     write_rows(tmp_path / RUNS_FILE, [forged, rows[1]])
     np.savez_compressed(tmp_path / PATHS_FILE, **kept, **{states_hash(bent): bent})
     assert main(["certify", str(tmp_path)]) == 1
-    assert "2 birrt seed 0: certified in the row, refused now: " in capsys.readouterr().err
+    assert "2 birrt seed 0: certified in the row, not certified now: " in capsys.readouterr().err
 
     for forged, told in (
         ({"path_sha256": None, "path_length_rad": 0.5}, "certified in the row, without a path"),

@@ -83,7 +83,7 @@ def test_an_unknown_file_becomes_a_certified_path_in_one_command(
     ends = ["--start", START, "--goal", GOAL, "--constraint", kind]
     run_here(["plan", *words, *ends, "--iterations", 5000])
     said = capsys.readouterr()
-    assert re.search(bound, said.out) and "certificate valid" in said.out
+    assert re.search(bound, said.out) and "certificate certified" in said.out
     assert "robot " in said.err
 
 

@@ -75,4 +75,4 @@ def test_a_start_off_the_chain_is_refused_with_F_or_projected(good, cvqmpt, caps
     line = refused_command(capsys, "plan", "--problem-file", path)
     assert "start breaks `pose` by 0.05 rad" in line and "|F| = 0.0" in line
     assert "--project-start" in line
-    assert "certificate valid" in cvqmpt("plan --project-start --problem-file", path)
+    assert "certificate certified" in cvqmpt("plan --project-start --problem-file", path)

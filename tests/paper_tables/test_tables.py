@@ -23,7 +23,7 @@ from cvqmpt_lab.paper_tables.motion_bench_table import class_lines
 from cvqmpt_lab.paper_tables.plots import COLOURS, OURS, line_style, profile
 from cvqmpt_lab.paper_tables.rendering import render_directory, table_of
 from cvqmpt_lab.paper_tables.statements import read_published
-from cvqmpt_lab.paper_tables.table_engine import SuiteTable, by_planner
+from cvqmpt_lab.paper_tables.table_engine import SuiteTable, by_planner, failure
 from cvqmpt_lab.paper_tables.writers import latex_table
 from cvqmpt_lab.planning.planners import PLANNERS
 from cvqmpt_lab.results.row import RUNS_FILE, read_rows, write_rows
@@ -245,6 +245,12 @@ def test_a_report_of_one_directory_points_to_the_verdicts_and_has_its_name(
     text = (tmp_path / "r.html").read_text()
     assert "<title>place-task</title>" in text and "too little to judge the paper" in text
     assert "Is the paper replicated?" not in text and "A verdict is" not in text
+
+
+def test_failures_of_refused_paths_are_not_certified_and_why():
+    row = a_failure(planner="mpnet", fail_reason="uncertified_collision", detail="a and b")
+    assert failure(row) == ("not certified: collision", "a and b")
+    assert "| mpnet   | not certified: collision | a and b" in table_of([a_row(), row]).markdown
 
 
 def test_the_log_for_ompl_is_read_by_its_own_script(cvqmpt, capsys, tmp_path):
