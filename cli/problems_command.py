@@ -91,7 +91,7 @@ def _new(args: argparse.Namespace) -> None:
     from cvqmpt_lab.benchmarks.templates import problem_template, with_limits
 
     if args.urdf is not None and args.end_effector is None and not args.end_effectors:
-        args.end_effector = read_urdf(args.urdf).likely_end_effectors()[0]
+        args.end_effector = read_urdf(args.urdf, args.package_dir).likely_end_effectors()[0]
         print(f"end effector {args.end_effector} is a guess; --end-effector chooses another")
     robot, notes = with_limits(robot_source(args) or {"name": "panda"})
     if args.task or args.door:

@@ -36,7 +36,7 @@ def run(args: argparse.Namespace) -> None:
     else:
         source = {"urdf": args.robot, **options}
         if not {"end_effector", "end_effectors"} & options.keys():
-            guesses = read_urdf(Path(args.robot)).likely_end_effectors()
+            guesses = read_urdf(Path(args.robot), args.package_dir).likely_end_effectors()
             source["end_effector"] = guesses[0]
     robot = robot_from_source(source)
     model = describe(robot)

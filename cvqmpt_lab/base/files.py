@@ -140,6 +140,11 @@ def read_xml(path: Path, what: str = "file") -> Element:
     Names keep their prefixes, bound or not, and a default namespace has no effect. A byte order
     mark or blanks may precede the declaration.
     """
+    return xml_root(read_text(path, what), f"{what} {path}")
+
+
+def xml_root(text: str, what: str) -> Element:
+    """Return the root of an XML text as `read_xml` does; errors call the text `what`."""
     from xml.etree.ElementTree import TreeBuilder  # imported here: most runs read no such file
     from xml.parsers import expat
 
@@ -148,10 +153,10 @@ def read_xml(path: Path, what: str = "file") -> Element:
     parser.EndElementHandler = builder.end
     parser.CharacterDataHandler = builder.data
     try:
-        parser.Parse(read_text(path, what).lstrip("\ufeff \t\r\n"), True)
+        parser.Parse(text.lstrip("\ufeff \t\r\n"), True)
         return builder.close()
     except expat.ExpatError as error:
-        raise InvalidInputError(f"cannot read {what} {path}: {error}") from error
+        raise InvalidInputError(f"cannot read {what}: {error}") from error
 
 
 def read_json_object(path: Path, what: str = "file") -> dict[str, Any]:

@@ -63,7 +63,8 @@ def hold_of(source: Mapping[str, Any]) -> Grip:
 
 def _fingers(source: Mapping[str, Any]) -> list[Joint]:
     """Return the joints of the URDF that move behind the arm's last joint."""
-    robot, urdf = robot_from_source(source), read_urdf(Path(read_source(source).urdf))
+    robot, given = robot_from_source(source), read_source(source)
+    urdf = read_urdf(Path(given.urdf), given.package_dirs)
     last = robot.joint_names[-1]
     behind = [
         joint

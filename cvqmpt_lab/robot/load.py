@@ -191,7 +191,8 @@ def with_gripper(robot: Robot) -> Robot:
 
 def gripper_joints(robot: Robot) -> list[Joint]:
     """Return the joints of the URDF behind the last joint that moves the end effector."""
-    urdf = read_urdf(Path(read_source(robot.source).urdf))
+    given = read_source(robot.source)
+    urdf = read_urdf(Path(given.urdf), given.package_dirs)
     above = [joint.name for joint in urdf.chain(robot.end_effector)]
     last = [name for name in above if name in robot.moving_joints][-1]
     return [
@@ -234,7 +235,8 @@ def _built(source: Mapping[str, Any], free: Sequence[str] = ()) -> Robot:
     """Build the robot of a source without articulated object; free: locked joints that move."""
     given = read_source(source)
     read = {path: content_digest(path) for path in (given.urdf, given.srdf) if path}
-    urdf = read_urdf(Path(given.urdf))
+    urdf = read_urdf(Path(given.urdf), given.package_dirs)
+    read |= {path: content_digest(path) for path in urdf.included}
     held, followers = held_joints(urdf, given.end_effectors, given.locked, given.base is not None)
     held = tuple(joint for joint in held if joint.name not in free)
     model, geometry, meshes, bodies = _models(urdf, given, held)

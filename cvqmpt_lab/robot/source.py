@@ -163,7 +163,7 @@ def _of_descriptions(given: RobotSource) -> RobotSource:
             " and give it as --urdf"
         )
     packages = (*given.package_dirs, getattr(module, "PACKAGE_PATH", str(Path(path).parent)))
-    hand = given.end_effector or read_urdf(Path(path)).likely_end_effectors()[0]
+    hand = given.end_effector or read_urdf(Path(path), packages).likely_end_effectors()[0]
     return replace(given, name="", urdf=path, end_effector=hand, package_dirs=packages)
 
 

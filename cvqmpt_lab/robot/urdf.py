@@ -25,7 +25,7 @@ from cvqmpt_lab.base.errors import (
     shown,
     unique,
 )
-from cvqmpt_lab.base.files import read_xml
+from cvqmpt_lab.base.files import read_xml, xml_root
 from cvqmpt_lab.base.values import FULL_TURN_RAD, scalar
 from cvqmpt_lab.robot.robot import Follower, HeldJoint
 
@@ -73,6 +73,7 @@ class Urdf:
     root: ElementTree.Element
     links: tuple[str, ...]
     joints: Mapping[str, Joint]  # by name
+    included: tuple[str, ...] = ()  # files that a xacro file includes
 
     def chain(self, link: str) -> list[Joint]:
         """Return the joints from the base to a link, in this order."""
@@ -106,25 +107,54 @@ class Urdf:
         return sorted(likely, key=lambda link: not re.search("tool|tcp", link, re.IGNORECASE))
 
 
-def read_urdf(path: Path) -> Urdf:
-    """Read a URDF file; InvalidInputError if it is malformed or its joints are not a tree."""
-    root = read_xml(path, "URDF")
+def read_urdf(path: Path, package_dirs: Sequence[Path | str] = ()) -> Urdf:
+    """Read a URDF or xacro file; InvalidInputError if it is malformed or no tree of joints.
+
+    Args:
+        path: the file.
+        package_dirs: folders of the packages that a xacro file names, or folders that hold them.
+    """
+    root, included = read_xml(path, "URDF"), tuple[str, ...]()
     invalid = f"{path} does not contain a valid URDF"
+    if any(element.tag.startswith("xacro:") for element in root.iter()):
+        root, included = _expanded(path, package_dirs)
     if root.tag != "robot":
         raise InvalidInputError(f"{invalid}: its root is <{root.tag}>, not <robot>")
-    expressions = sorted({element.tag for element in root.iter() if "xacro" in element.tag})
-    if expressions:
-        raise InvalidInputError(
-            f"{invalid}: it has unexpanded elements of xacro, such as "
-            f"<{expressions[0]}>; expand it: xacro {path.name} > expanded.urdf, or without ROS: "
-            f"pip install xacrodoc; xacrodoc {path.name} -o expanded.urdf"
-        )
     if not root.get("name"):
         raise InvalidInputError(f"{invalid}: its <robot> has no name")
     links = tuple(link.get("name", "") for link in root.findall("link"))
     joints = [_joint(element, path) for element in root.findall("joint")]
     _check_tree(path.name, links, joints)
-    return Urdf(path, root, links, {joint.name: joint for joint in joints})
+    return Urdf(path, root, links, {joint.name: joint for joint in joints}, included)
+
+
+def _expanded(
+    path: Path, package_dirs: Sequence[Path | str]
+) -> tuple[ElementTree.Element, tuple[str, ...]]:
+    """Return the root of a xacro file, expanded, and the files that it includes."""
+    try:
+        import xacro  # both are optional
+        from xacrodoc import packages  # makes xacro find packages without ROS
+    except ImportError as error:
+        raise InvalidInputError(
+            f"{path} has unexpanded elements of xacro: pip install xacrodoc, which expands it; or "
+            f"with ROS: xacro {path.name} > expanded.urdf"
+        ) from error
+    places = [*path.resolve().parents[:4], *map(Path, package_dirs)]
+    known = {place.name: place for place in places if (place / "package.xml").is_file()}
+    beside = [file.parent for place in places for file in place.glob("*/package.xml")]
+    packages.update_package_cache({**{place.name: place for place in beside}, **known})
+    packages.walk_up_from(path)
+    xacro.all_includes.clear()
+    try:
+        text = xacro.process_file(str(path)).toxml()
+    except Exception as error:  # a file may evaluate any expression of Python
+        said = " ".join(str(getattr(error, "exc", None) or error).split())
+        raise InvalidInputError(
+            f"cannot expand {path}: {said}; --package-dir names folders of packages; with "
+            f"arguments, expand it by hand: xacrodoc {path.name} NAME:=VALUE -o expanded.urdf"
+        ) from error
+    return xml_root(text, f"URDF expanded from {path}"), tuple(dict.fromkeys(xacro.all_includes))
 
 
 def _joint(element: ElementTree.Element, path: Path, most_turn: float = 1e5) -> Joint:
