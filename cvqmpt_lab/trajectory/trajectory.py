@@ -5,7 +5,9 @@ Between two states a trajectory is a quintic polynomial; `extremes` and `bounds`
 A csv file has one row per state and perhaps a header of joint names. With a column ``time`` it is a
 trajectory, with columns ``JOINT_position``, ``JOINT_velocity`` and perhaps ``JOINT_acceleration``.
 A json file holds a list of states, an object with ``joint_names`` and ``states`` (or ``path``, as
-``cvqmpt plan --json`` prints), or ROS's `JointTrajectory`.
+``cvqmpt plan --json`` prints), or ROS's `JointTrajectory`, also inside of the messages of
+`ros_messages`. A yaml file holds the same, as ``ros2 topic echo --full-length`` prints it. An npz
+file holds arrays ``t`` (k,) and ``q`` (k, n), perhaps ``v``, ``a`` and ``joint_names``.
 
 Files are written with accelerations, which are continuous: a controller then follows the quintics
 through positions, velocities and accelerations, and these are certified.
@@ -18,7 +20,7 @@ import io
 import json
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -31,11 +33,11 @@ from cvqmpt_lab.base.errors import (
     mapping,
     require_choice,
     shown,
-    whole_number,
 )
-from cvqmpt_lab.base.files import csv_table, json_value, write_text
+from cvqmpt_lab.base.files import csv_table, json_value, write_text, yaml_value
 from cvqmpt_lab.base.values import numbers
 from cvqmpt_lab.scene.cloud_files import kind_of, read_by_suffix
+from cvqmpt_lab.trajectory.ros_messages import joint_trajectory, nanoseconds
 
 if TYPE_CHECKING:
     from scipy.interpolate import PPoly  # half a second to import
@@ -167,8 +169,15 @@ TRAJECTORY_WRITERS = {".csv": as_csv, ".json": as_ros_json}
 
 
 def read_motion(path: Path) -> Motion:
-    """Read a .csv or .json file; InvalidInputError names the file and what is wrong in it."""
-    motion = read_by_suffix({".csv": _from_csv, ".json": _from_json}, path, "motion")
+    """Read a motion from a file; InvalidInputError names the file and what is wrong in it."""
+    readers = {
+        ".csv": _from_csv,
+        ".json": lambda data: _from_value(json_value(data.decode(), "it")),
+        ".yaml": lambda data: _from_value(yaml_value(data.decode())),
+        ".npz": _from_arrays,
+    }
+    readers[".yml"] = readers[".yaml"]
+    motion = read_by_suffix(readers, path, "motion")
     for kind in (motion.positions, motion.velocities, motion.accelerations):
         if kind is not None and (kind.ndim != 2 or kind.shape != motion.positions.shape):
             raise InvalidInputError(
@@ -197,12 +206,16 @@ def _from_csv(data: bytes) -> Motion:
     if header is None or "time" not in header:
         return Motion(header, table)
     names = tuple(name.removesuffix("_position") for name in header if name.endswith("_position"))
+    if not any(name.endswith(tuple(f"_{kind}" for kind in CSV_COLUMN_KINDS)) for name in header):
+        names = tuple(name for name in header if name != "time")
+        header = tuple(name if name == "time" else f"{name}_position" for name in header)
     columns = dict(zip(header, table.T, strict=False))
     expected = ["time", *(f"{name}_{kind}" for kind in CSV_COLUMN_KINDS for name in names)]
     if not names or len(columns) != len(header) or not set(header) <= set(expected):
         odd = next((name for name in header if name not in expected), header[0])
         raise InvalidInputError(
-            f"column {shown(odd)}: with a column 'time', give JOINT_position, JOINT_velocity"
+            f"column {shown(odd)}: with a column 'time', give JOINT_position, JOINT_velocity, or "
+            "joint names alone"
         )
     kinds: list[Any] = [None, None, None]
     for k, kind in enumerate(CSV_COLUMN_KINDS):
@@ -219,27 +232,47 @@ def _decimal(cell: str) -> float:
     return float(cell)
 
 
-def _from_json(data: bytes) -> Motion:
-    found = json_value(data.decode(), "it")
+def _from_arrays(data: bytes) -> Motion:
+    """Return the motion of an npz file with times ``t`` (k,) and positions ``q`` (k, n)."""
+    found = np.load(io.BytesIO(data), allow_pickle=False)
+    if not isinstance(found, Mapping) or "q" not in found:
+        raise InvalidInputError(
+            "it has no array 'q' of states; save it by np.savez(file, t=t, q=q)"
+        )
+    for key in found:
+        require_choice("array", key, ("t", "q", "v", "a", "joint_names"))
+    t, v, a = (numbers(found[key], key) if key in found else None for key in "tva")
+    names = tuple(map(str, found["joint_names"])) if "joint_names" in found else None
+    if t is None and (v is not None or a is not None):
+        raise InvalidInputError("it has velocities or accelerations, but no times 't'")
+    return Motion(names, numbers(found["q"], "q"), t, v, a)
+
+
+def _from_value(found: Any) -> Motion:
+    """Return the motion of a json or yaml value."""
     if isinstance(found, list):
         return Motion(None, _table(found))
     content = mapping(found, "", "'states', 'path' or 'points'")
+    key = next((key for key in ("states", "path") if content.get(key) is not None), None)
+    if key is None:
+        content = joint_trajectory(content)
     names = content.get("joint_names", content.get("joints"))
     if names is not None:
         if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
             raise InvalidInputError(f"'joint_names' {shown(names)}: give a list of names")
         names = tuple(names)
-    if "points" in content:
+    if key is None:
         _refuse_unknown("the trajectory", content, ("header", "joint_names", "joints", "points"))
         return _from_points(names, content["points"])
-    key = next((key for key in ("states", "path") if content.get(key) is not None), None)
-    if key is None:
-        raise InvalidInputError("it has no 'states', 'path' or 'points'")
     return Motion(names, _table(content[key]))
 
 
 def _from_points(names: tuple[str, ...] | None, points: list[dict[str, Any]]) -> Motion:
     """Motion through the points of a `JointTrajectory`."""
+    if not points:
+        raise InvalidInputError("its trajectory is empty: 'points' has no entry")
+    if points[-1] == "...":
+        raise InvalidInputError("it ends with '...': print it by ros2 topic echo --full-length")
     known = ("positions", "velocities", "accelerations")
     for k, point in enumerate(points):
         _refuse_unknown(f"point {k}", point, (*known, "effort", "time_from_start"))
@@ -253,18 +286,14 @@ def _from_points(names: tuple[str, ...] | None, points: list[dict[str, Any]]) ->
         kinds.append(_table([point[key] for point in points]) if all(given) else None)
     if kinds[0] is None:
         raise InvalidInputError("a point has no 'positions'")
-    times = [_seconds(k, point["time_from_start"]) for k, point in enumerate(points)]
-    return Motion(names, kinds[0], np.array(times), kinds[1], kinds[2])
-
-
-def _seconds(k: int, time: Any) -> float:
-    """Seconds of the time_from_start of point k, a ROS duration."""
-    where = f"time_from_start of point {k}"
-    _refuse_unknown(where, time, ("sec", "nanosec"))
-    seconds = whole_number(f"{where}: sec", time.get("sec"), most=2**31 - 1)
-    return seconds + 1e-9 * whole_number(
-        f"{where}: nanosec", time.get("nanosec", 0), most=999_999_999
+    elapsed = [
+        nanoseconds(f"time_from_start of point {k}", point.get("time_from_start"))
+        for k, point in enumerate(points)
+    ]
+    times = np.array(
+        [seconds + 1e-9 * rest for seconds, rest in (divmod(t, 10**9) for t in elapsed)]
     )
+    return Motion(names, kinds[0], times, kinds[1], kinds[2])
 
 
 def _refuse_unknown(where: str, value: Any, known: Sequence[str]) -> None:
