@@ -21,7 +21,7 @@ import json
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -127,6 +127,18 @@ class Motion:
             for kind in (self.velocities, self.accelerations)
         )
         return Motion(names, self.positions[:, order], self.times, velocities, accelerations)
+
+    def at_speed(self, factor: float) -> Motion:
+        """Return a trajectory with `factor` times the speed, 0 < factor; a path is unchanged."""
+        if self.times is None:
+            return self
+        v, a = self.velocities, self.accelerations
+        return replace(
+            self,
+            times=self.times / factor,
+            velocities=None if v is None else factor * v,
+            accelerations=None if a is None else factor**2 * a,
+        )
 
 
 def save_trajectory(trajectory: Trajectory, path: Path | str) -> None:

@@ -289,6 +289,22 @@ def test_a_trajectory_that_begins_or_ends_on_the_move_is_refused(
     assert all(f"where the motion {words}" in fault["text"] for fault in found["faults"])
 
 
+def test_positions_with_times_are_judged_as_spline_and_as_lines(judged, trajectory):
+    """Between points of a dense motion both are close to it; half of the time breaks limits."""
+    lines = as_csv(trajectory.sampled(0.01)).splitlines()
+    positions = [line.split(",")[:8] for line in lines]
+    positions[0] = [name.removesuffix("_position") for name in positions[0]]
+    for row in positions[1:]:
+        row[0] = repr(float(row[0]) / 0.7)
+    code, found = judged("\n".join(map(",".join, positions)))
+    assert (code, found["faults"]) == (0, []) and found["curve"] in ("spline", "linear")
+    for row in positions[1:]:
+        row[0] = repr(0.5 * float(row[0]))
+    code, found = judged("\n".join(map(",".join, positions)))
+    assert code == 1 and found["curve"] == "spline"
+    assert {"velocity", "acceleration"} <= {fault["kind"] for fault in found["faults"]}
+
+
 def test_the_report_says_where_a_path_leaves_the_manifold_in_short_lines(tmp_path, states, cvqmpt):
     save(tmp_path / "bent.csv", changed(states, MIDDLE, 0.5 * np.eye(7)[5]))
     save(tmp_path / "far.csv", [states[0], states[0] + 1e300])
@@ -301,7 +317,7 @@ def test_the_report_says_where_a_path_leaves_the_manifold_in_short_lines(tmp_pat
     assert len(far.splitlines()) == 3 and max(map(len, far.splitlines())) < 120
 
 
-def test_a_trajectory_without_velocities_with_times_that_go_back_or_in_other_units_is_one_line(
+def test_a_trajectory_with_times_that_go_back_or_in_other_units_is_one_line(
     tmp_path, capsys, trajectory
 ):
     lines, kinds = as_csv(trajectory).splitlines(), ("positions", "accelerations")
@@ -312,7 +328,6 @@ def test_a_trajectory_without_velocities_with_times_that_go_back_or_in_other_uni
     swinging = replace(trajectory, **ends)
     for text, words in (
         ("\n".join([lines[0], lines[2], lines[1]]), "increase"),
-        ("\n".join(",".join(line.split(",")[:8]) for line in lines), "needs velocities"),
         (as_csv(quick), "are units right"),
         (as_csv(swinging), "straight pieces; at most 100000"),
     ):

@@ -1,0 +1,204 @@
+"""The share of every limit that a motion q(t) uses: velocity, acceleration, jerk, effort.
+
+Shares are largest over all times, not only over the points of the motion: rates are extremes of
+polynomials, efforts are bounded between the times at which they are computed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from cvqmpt_lab.certificate.certificate import Fault, FaultKind
+from cvqmpt_lab.certificate.motion_curves import rates
+from cvqmpt_lab.geometry.polyline import numbered_parts
+from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.robot.robot import JointLimits
+from cvqmpt_lab.trajectory.trajectory import bounds, extremes
+
+if TYPE_CHECKING:
+    from scipy.interpolate import PPoly  # half a second to import, needed for trajectories alone
+
+# share by which limits may be exceeded: the cubics through points of `time_path` do so by 0.5 %
+LIMIT_OVERSHOOT = {
+    FaultKind.VELOCITY: 1e-3,
+    FaultKind.ACCELERATION: 0.01,
+    FaultKind.JERK: 0.01,
+    FaultKind.EFFORT: 0.01,
+    FaultKind.TORQUE_RATE: 0.01,
+}
+
+
+class LimitUse(NamedTuple):
+    """The largest share of a limit that a motion uses."""
+
+    kind: FaultKind
+    joint: str  # that uses the largest share
+    value: float  # largest rate or effort of that joint
+    limit: float
+    unit: str
+    time: float  # of that value [s]
+
+    @property
+    def share(self) -> float:
+        """Value over limit; above 1 the limit is exceeded."""
+        return self.value / self.limit
+
+    @property
+    def exceeded(self) -> bool:
+        """Whether the limit is exceeded by more than LIMIT_OVERSHOOT allows."""
+        return not self.share <= 1.0 + LIMIT_OVERSHOOT[self.kind]
+
+    @property
+    def text(self) -> str:
+        """The use in words, as of a fault."""
+        needs = self.kind in (FaultKind.EFFORT, FaultKind.TORQUE_RATE)
+        does = "needs up to" if needs else "reaches"
+        words = str(self.kind).replace("_", " ")
+        return (
+            f"{self.joint} {does} {self.value:.4g} {self.unit}, its {words} limit is "
+            f"{self.limit:.4g}"
+        )
+
+    def fault(self, times: np.ndarray) -> Fault:
+        """Return the fault of exceeding the limit; times (m,) [s] of the certified states."""
+        return Fault(
+            self.kind, self.text, float(np.interp(self.time, times, np.arange(len(times))))
+        )
+
+
+class Ends(NamedTuple):
+    """The begin and end of a motion; the default is at rest, at the start and at a goal."""
+
+    start_velocity: np.ndarray | None = None  # (n,) [rad/s or m/s]; None: at rest
+    end_velocity: np.ndarray | None = None  # (n,); None: at rest, or any of a part of a motion
+    # a part of a longer motion, such as a chunk of a policy: it begins at the current state, and
+    # need not end at a goal
+    part: bool = False
+
+
+def rate_uses(
+    name: str, curve: PPoly, given: np.ndarray | None, limits: JointLimits
+) -> Iterator[LimitUse]:
+    """Yield the use of the limits of velocity, acceleration and jerk.
+
+    Jerk is that of quintics alone: accelerations of cubics jump between their pieces. Velocities
+    of lines jump, so that neither is judged.
+
+    Args:
+        name: name of the curve, see `curves_of`.
+        curve: q(t).
+        given: accelerations at the points of the motion (k, n), counted in addition, or None.
+        limits: limits of the joints.
+    """
+    judged = {"linear": 1, "quintic": 3}.get(name, 2)
+    every = (
+        (1, FaultKind.VELOCITY, "rad/s", limits.velocity),
+        (2, FaultKind.ACCELERATION, "rad/s^2", limits.acceleration),
+        (3, FaultKind.JERK, "rad/s^3", limits.jerk),
+    )
+    for order, kind, unit, limit in every[:judged]:
+        if limit is None:
+            continue
+        shares, found = extremes(curve, order)
+        if order == 2 and given is not None:
+            found = np.concatenate([found, given[None, :-1], given[None, 1:]])
+            shares = np.concatenate([shares, shares[[0, -1]]])
+        used = np.nan_to_num(np.abs(found) / limit, nan=np.inf)
+        share, k, joint = np.unravel_index(int(used.argmax()), used.shape)
+        moment = curve.x[k] + shares[share, k, joint] * (curve.x[k + 1] - curve.x[k])
+        value = float(used[share, k, joint] * limit[joint])
+        name = limits.joint_names[joint]
+        yield LimitUse(kind, name, value, float(limit[joint]), unit, float(moment))
+
+
+def effort_uses(
+    problem: PlanningProblem,
+    curve: PPoly,
+    resolution: float = 0.005,
+    most_parts: int = 200_000,
+) -> Iterator[LimitUse | Fault]:
+    """Yield the use of the effort limits at any time, and of the torque rates at 1 kHz.
+
+    On a part of a piece, h [s] long, |tau| is at most the larger one of its ends plus
+    h^2 / 8 max |tau''|, see `Dynamics.curvature`; parts are so short that this is less than
+    `resolution` of the limit.
+
+    Args:
+        problem: the robot and its load.
+        curve: q(t).
+        resolution: see above.
+        most_parts: largest number of parts; with more, efforts are not proven, which is a fault.
+    """
+    limits, dynamics = problem.robot.joint_limits, problem.dynamics
+    if dynamics is None or limits.effort is None:
+        return
+    spans, most = np.diff(curve.x), np.array([bounds(curve, order) for order in range(5)])
+    bent = dynamics.curvature(most[0], most[1:])
+    parts = np.sqrt((bent / (8.0 * resolution * limits.effort)).max(axis=1)) * spans
+    parts = np.maximum(np.ceil(parts), 1.0)
+    if not parts.sum() <= most_parts:
+        text = (
+            f"efforts are not proven: that takes {parts.sum():.3g} checks, more than {most_parts}"
+        )
+        yield Fault(FaultKind.NOT_PROVEN, text)
+        return
+    piece, number = numbered_parts(parts.astype(int) + 1)
+    after = number * (spans / parts)[piece]
+    states = [np.polyval(curve.derivative(k).c[:, piece], after[:, None]) for k in range(3)]
+    largest = (
+        np.abs(dynamics.efforts(*states)) + ((spans / parts) ** 2 / 8.0)[piece, None] * bent[piece]
+    )
+    found = [(FaultKind.EFFORT, "Nm", largest, curve.x[piece] + after)]
+    if limits.torque_rate is not None:
+        every = np.minimum(np.arange(0.0, curve.x[-1] + 1e-3, 1e-3), curve.x[-1])
+        efforts = dynamics.efforts(*(curve(every, order) for order in range(3)))
+        found.append(
+            (FaultKind.TORQUE_RATE, "Nm/s", np.abs(np.diff(efforts, axis=0)) / 1e-3, every[:-1])
+        )
+    for kind, unit, values, moments in found:
+        limit = getattr(limits, kind)
+        k, joint = np.unravel_index(int((values / limit).argmax()), values.shape)
+        value, name = float(values[k, joint]), limits.joint_names[joint]
+        yield LimitUse(kind, name, value, float(limit[joint]), unit, float(moments[k]))
+
+
+def rest_faults(
+    name: str, curve: PPoly, limits: JointLimits, last: float, ends: Ends
+) -> Iterator[Fault]:
+    """Yield joints that do not begin or end a motion at the given velocity, as a rule at rest.
+
+    If jerk is limited, accelerations of quintics must be 0 at rest, too: they would jump. Lines
+    are left out: their velocities jump at every point.
+
+    Args:
+        name: name of the curve, see `curves_of`.
+        curve: q(t).
+        limits: limits of the joints.
+        last: place of the end, see `Fault.at`.
+        ends: the given velocities.
+    """
+    if name == "linear":
+        return
+    velocity, acceleration = rates(curve, 1), rates(curve, 2)
+    for what, at, row, given in (
+        ("begins", 0.0, (0, 0), ends.start_velocity),
+        ("ends", last, (-1, -1), ends.end_velocity),
+    ):
+        if what == "ends" and ends.part and given is None:
+            continue
+        asked = np.zeros(len(limits.joint_names)) if given is None else given
+        kinds = [(FaultKind.VELOCITY, "moves at", "rad/s", limits.velocity, velocity[row] - asked)]
+        if limits.jerk is not None and given is None and name == "quintic":
+            words = "accelerates at once by"
+            kinds += [(FaultKind.JERK, words, "rad/s^2", limits.acceleration, acceleration[row])]
+        for kind, words, unit, limit, off in kinds:
+            share = np.abs(off) / limit
+            joint = int(share.argmax())
+            if share[joint] > LIMIT_OVERSHOOT[FaultKind.VELOCITY]:
+                value = abs(off[joint] + (asked[joint] if kind is FaultKind.VELOCITY else 0.0))
+                does = f"{limits.joint_names[joint]} {words} {value:.4g} {unit}"
+                given_as = "" if given is None else f", given is {asked[joint]:.4g}"
+                yield Fault(kind, f"{does} where the motion {what}{given_as}", at)
