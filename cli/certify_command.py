@@ -4,6 +4,7 @@ import argparse
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -13,7 +14,8 @@ from cvqmpt_lab.base.codec import from_plain
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.base.files import read_json_object
 from cvqmpt_lab.base.values import Array, FloatArray
-from cvqmpt_lab.certificate.motion_check import dry_run
+from cvqmpt_lab.certificate.limit_use import Ends
+from cvqmpt_lab.certificate.motion_check import dry_run, speed_within_limits
 from cvqmpt_lab.certificate.record import record, report_lines
 from cvqmpt_lab.cli.options import FLAG, Options, log, numbers, option, positive, refuse_given
 from cvqmpt_lab.cli.problem_arguments import chosen_problem, robot_source
@@ -44,11 +46,35 @@ def run(args: argparse.Namespace) -> int:
             f"{args.suite or args.task_file} is a task; certify the directory of a run, the folder "
             "that plan --trajectory wrote for a task, or one problem"
         )
-    found = dry_run(problem, motion, args.current, args.tolerance, exact_clearance=True)
-    contents = record(problem, motion, found)
+    ends = _ends(args, motion, problem)
+    found = dry_run(problem, motion, args.current, args.tolerance, True, ends)
+    slower = None
+    if not found.certificate.valid and found.limits_alone:
+        slower = speed_within_limits(problem, motion, ends)
+    contents = record(problem, motion, found, slower)
     lines = report_lines(found, contents)
     print(json.dumps(contents, indent=1, allow_nan=False) if args.json else "\n".join(lines))
     return 0 if found.certificate.valid else 1
+
+
+def _ends(args: argparse.Namespace, motion: Motion, problem: PlanningProblem) -> Ends:
+    """Return the begin and end of a motion that the options state."""
+    names = problem.robot.joint_names
+    given = {"--start-velocity": args.start_velocity, "--end-velocity": args.end_velocity}
+    for said, velocity in given.items():
+        if velocity is not None and motion.times is None:
+            raise InvalidInputError(f"{said} goes with a trajectory; {args.path} has no times")
+        if velocity is not None and len(velocity) != len(names):
+            raise InvalidInputError(
+                f"{said} has {len(velocity)} numbers; give {len(names)}, one each for "
+                f"{', '.join(names)}"
+            )
+    begin, end = (None if v is None else np.array(v) for v in given.values())
+    if args.part and args.current is None:
+        raise InvalidInputError(
+            "--part: a part of a motion begins where the arm is: give --current"
+        )
+    return Ends(begin, end, args.part)
 
 
 def _certify_task(args: argparse.Namespace) -> int:
@@ -56,6 +82,8 @@ def _certify_task(args: argparse.Namespace) -> int:
     refuse_given(args, ["problems_dir"], "goes with the directory of a run; leave it out")
     if args.current is not None:
         raise InvalidInputError("--current goes with one motion; a task states where it begins")
+    why = "goes with one motion; those of a task begin and end at rest"
+    refuse_given(args, ["start_velocity", "end_velocity", "part"], why)
     task = chosen_problem(args)
     if not isinstance(task, Task):
         raise InvalidInputError(f"{args.path} has the motions of a task, {task.name} is a problem")
@@ -175,6 +203,21 @@ OPTIONS: Options = {
         type=positive,
         default=0.01,
         metavar="RAD",
+    ),
+    "--start-velocity": option(
+        "velocity of the joints where a trajectory begins, in quotes (at rest) [rad/s or m/s]",
+        type=partial(numbers, "--start-velocity"),
+        metavar="V",
+    ),
+    "--end-velocity": option(
+        "the same where it ends (at rest; any with --part)",
+        type=partial(numbers, "--end-velocity"),
+        metavar="V",
+    ),
+    "--part": option(
+        "judge a part of a longer motion, such as a chunk of a policy: it begins at --current, not "
+        "at the start of the problem, and need not end at a goal",
+        **FLAG,
     ),
     "--json": option("print one json object instead, with every compared value", **FLAG),
 }

@@ -15,7 +15,7 @@ from cvqmpt_lab.certificate.certificate import Fault, FaultKind
 from cvqmpt_lab.certificate.motion_curves import rates
 from cvqmpt_lab.geometry.polyline import numbered_parts
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.robot.robot import JointLimits
+from cvqmpt_lab.robot.robot import JointLimits, Robot
 from cvqmpt_lab.trajectory.trajectory import bounds, extremes
 
 if TYPE_CHECKING:
@@ -49,18 +49,23 @@ class LimitUse(NamedTuple):
     @property
     def exceeded(self) -> bool:
         """Whether the limit is exceeded by more than LIMIT_OVERSHOOT allows."""
-        return not self.share <= 1.0 + LIMIT_OVERSHOOT[self.kind]
+        # positions are checked by the certificate itself
+        return self.kind in LIMIT_OVERSHOOT and not self.share <= 1.0 + LIMIT_OVERSHOOT[self.kind]
 
     @property
     def text(self) -> str:
         """The use in words, as of a fault."""
         needs = self.kind in (FaultKind.EFFORT, FaultKind.TORQUE_RATE)
         does = "needs up to" if needs else "reaches"
-        words = str(self.kind).replace("_", " ")
         return (
-            f"{self.joint} {does} {self.value:.4g} {self.unit}, its {words} limit is "
+            f"{self.joint} {does} {self.value:.4g} {self.unit}, its {self.words} limit is "
             f"{self.limit:.4g}"
         )
+
+    @property
+    def words(self) -> str:
+        """The kind of limit in words."""
+        return "position" if self.kind is FaultKind.LIMITS else self.kind.replace("_", " ")
 
     def fault(self, times: np.ndarray) -> Fault:
         """Return the fault of exceeding the limit; times (m,) [s] of the certified states."""
@@ -77,6 +82,25 @@ class Ends(NamedTuple):
     # a part of a longer motion, such as a chunk of a policy: it begins at the current state, and
     # need not end at a goal
     part: bool = False
+
+
+def position_use(robot: Robot, states: np.ndarray, times: np.ndarray) -> Iterator[LimitUse]:
+    """Yield the use of the joint limits, as the share of half of a joint's range.
+
+    Joints that turn without end have none.
+
+    Args:
+        robot: the robot.
+        states: (m, n) [rad or m].
+        times: (m,) of the states [s].
+    """
+    half = np.where(robot.endless, np.inf, 0.5 * (robot.upper - robot.lower))
+    off = np.abs(states - 0.5 * (robot.upper + robot.lower))
+    k, joint = np.unravel_index(int((off / half).argmax()), off.shape)
+    if np.isfinite(half[joint]):
+        value, name = float(off[k, joint]), robot.joint_names[joint]
+        limit = float(half[joint])
+        yield LimitUse(FaultKind.LIMITS, name, value, limit, "rad", float(times[k]))
 
 
 def rate_uses(

@@ -16,9 +16,11 @@ import numpy as np
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.certificate.certificate import Certificate, Fault, FaultKind, certify
 from cvqmpt_lab.certificate.limit_use import (
+    LIMIT_OVERSHOOT,
     Ends,
     LimitUse,
     effort_uses,
+    position_use,
     rate_uses,
     rest_faults,
 )
@@ -50,6 +52,11 @@ class DryRun(NamedTuple):
     # "cubic", "quintic", "spline" or "linear", the worse one of those checked; "" for a path
     curve: str = ""
     uses: tuple[LimitUse, ...] = ()  # of the limits, on that curve
+
+    @property
+    def limits_alone(self) -> bool:
+        """Whether all faults are exceeded limits of rates and efforts, which slowing may cure."""
+        return all(fault.kind in LIMIT_OVERSHOOT for fault in self.certificate.faults)
 
 
 def certified_motion(
@@ -130,6 +137,7 @@ def dry_run(
         own = [*missing, *(use.fault(times) for use in uses if use.exceeded)]
         own += rest_faults(name, curve, robot.joint_limits, len(times) - 1.0, ends)
         checked = _with_faults(certificate, [*own, *faults], ends)
+        uses = (*position_use(robot, states, times), *uses)
         runs.append(DryRun(checked, states, times, deviation_m, name, uses))
         if checked.faults:
             return runs[-1]

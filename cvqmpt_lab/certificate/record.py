@@ -31,10 +31,18 @@ from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.trajectory.trajectory import Motion
 
 
-def record(problem: PlanningProblem, motion: Motion, found: DryRun) -> dict[str, Any]:
+def record(
+    problem: PlanningProblem, motion: Motion, found: DryRun, slower: float | None = None
+) -> dict[str, Any]:
     """Return the JSON of a certificate with its tolerances, comparisons and digests.
 
     Numbers that are not finite become null.
+
+    Args:
+        problem: the problem that the motion was judged for.
+        motion: the path or trajectory.
+        found: the check.
+        slower: factor on its speed at which every limit holds, see `speed_within_limits`.
     """
     certificate, closest = found.certificate, found.certificate.closest
     faults = [
@@ -81,6 +89,19 @@ def record(problem: PlanningProblem, motion: Motion, found: DryRun) -> dict[str,
         "faults": faults,
         "apart_m": found.deviation_m,
         "curve": found.curve,
+        "limits": [
+            {
+                "kind": str(use.kind),
+                "joint": use.joint,
+                "share": round(use.share, 6),
+                "value": use.value,
+                "limit": use.limit,
+                "unit": use.unit,
+                "time_s": use.time,
+            }
+            for use in found.uses
+        ],
+        "limits_hold_at_speed": slower,
         "jerk": _jerk(problem, motion),
         **finite(numbers),
         "tolerances": {
@@ -128,6 +149,13 @@ def report_lines(found: DryRun, contents: dict[str, Any]) -> list[str]:
     for fault in certificate.faults:
         where = "" if fault.at is None else f", {_where(found, fault.at)}"
         lines.append(f"fault       {fault.text}{where}")
+    if contents["limits_hold_at_speed"]:
+        slower = contents["limits_hold_at_speed"]
+        lines.append(f"slower      at {slower:.2f} of this speed every limit holds")
+    lines += [
+        f"limit       {use.words} used to {use.share:.3g} by {use.joint} at {use.time:.4f} s"
+        for use in found.uses
+    ]
     if certificate.states_checked == 0:
         return lines
     distances = [

@@ -287,6 +287,11 @@ def test_a_trajectory_that_begins_or_ends_on_the_move_is_refused(
     code, found = judged(as_csv(half), problem)
     assert code == 1 and {fault["kind"] for fault in found["faults"]} == {"velocity", "jerk"}
     assert all(f"where the motion {words}" in fault["text"] for fault in found["faults"])
+    assert found["limits_hold_at_speed"] is None
+    # as a part of a longer motion, with the velocity where it begins
+    begin = (" ".join(map(repr, kind[0].tolist())) for kind in (half.positions, half.velocities))
+    options = ["--part", "--current", next(begin), "--start-velocity", next(begin)]
+    assert judged(as_csv(half), region_problem, options=options)[0] == 0
 
 
 def test_positions_with_times_are_judged_as_spline_and_as_lines(judged, trajectory):
@@ -303,6 +308,31 @@ def test_positions_with_times_are_judged_as_spline_and_as_lines(judged, trajecto
     code, found = judged("\n".join(map(",".join, positions)))
     assert code == 1 and found["curve"] == "spline"
     assert {"velocity", "acceleration"} <= {fault["kind"] for fault in found["faults"]}
+    slower = found["limits_hold_at_speed"]
+    assert 0.5 < slower < 0.9
+    for row in positions[1:]:
+        row[0] = repr(float(row[0]) / slower)
+    assert judged("\n".join(map(",".join, positions)))[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (["--part"], "--part: a part of a motion begins where the arm is: give --current"),
+        (["--start-velocity", "1 2"], "--start-velocity has 2 numbers; give 7"),
+        (["--end-velocity", "1 2 fast"], "--end-velocity '1 2 fast': write numbers"),
+    ],
+)
+def test_wrong_ends_are_one_line(capsys, tmp_path, trajectory, options, told):
+    (tmp_path / "a.csv").write_text(as_csv(trajectory))
+    assert told in refused(capsys, "certify", tmp_path / "a.csv", "place-task", *options)
+
+
+def test_a_path_has_no_velocity(capsys, tmp_path, states):
+    save(tmp_path / "a.csv", states)
+    options = ["--start-velocity", " ".join("0" * 7)]
+    told = refused(capsys, "certify", tmp_path / "a.csv", "place-task", *options)
+    assert "--start-velocity goes with a trajectory" in told
 
 
 def test_the_report_says_where_a_path_leaves_the_manifold_in_short_lines(tmp_path, states, cvqmpt):
