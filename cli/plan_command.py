@@ -14,6 +14,7 @@ from cvqmpt_lab.cli.options import (
     not_negative_int,
     option,
     picture_file,
+    positive,
     rate,
     writable_file,
 )
@@ -103,6 +104,12 @@ OPTIONS: Options = {
     ),
     "--speed": option(
         "fraction of the joint limits that --trajectory uses (0.1)", type=float, metavar="FACTOR"
+    ),
+    "--duration": option(
+        "duration of the motion of --trajectory, at least that of the fastest one within --speed "
+        "(that one's)",
+        type=positive,
+        metavar="S",
     ),
 }
 

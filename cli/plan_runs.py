@@ -28,7 +28,7 @@ from cvqmpt_lab.cli.problem_arguments import (
     name_file,
     optimize_budget,
     robot_source,
-    with_clearance,
+    with_limits,
 )
 from cvqmpt_lab.planning.margins import Margin, solve_with_margin
 from cvqmpt_lab.planning.planners import default_planner, planner_named
@@ -49,8 +49,11 @@ def run(args: argparse.Namespace) -> int:
     item = _problem_or_task(args)
     if args.speed is not None and args.trajectory is None and not isinstance(item, Task):
         raise InvalidInputError(f"--speed {args.speed} goes with --trajectory OUT.csv; give it")
-    if args.rate is not None and args.trajectory is None:
-        raise InvalidInputError(f"--rate {args.rate:g} goes with --trajectory OUT.csv; give it")
+    for name in ("rate", "duration"):
+        if (value := getattr(args, name)) is not None and args.trajectory is None:
+            raise InvalidInputError(f"--{name} {value:g} goes with --trajectory OUT.csv; give it")
+    if args.duration is not None and isinstance(item, Task):
+        raise InvalidInputError("--duration goes with one motion; give a task its --speed")
     args.speed = SLOW_SPEED if args.speed is None else args.speed
     if isinstance(item, Task):
         solution, report = _solved_task(args, item)
@@ -159,7 +162,7 @@ def _problem_or_task(args: argparse.Namespace) -> PlanningProblem | Task:
         from cvqmpt_lab.cli.scan_command import motion_problem
 
         compile_where_none_is(compiling(), log)
-        return with_clearance(args, motion_problem(args))
+        return with_limits(args, motion_problem(args))
     if len(given) != 1 or motion_given(args) or args.scene:
         raise InvalidInputError(
             f"name a suite ({', '.join(SUITES)}), or give --problem-file or --task-file, or "
@@ -180,7 +183,7 @@ def _write_trajectory(args: argparse.Namespace, solution: Solution) -> str:
 
     if not solution.solved or solution.path is None:
         return "trajectory  none: only certified paths are timed"
-    timing = TimingSettings(speed=args.speed)
+    timing = TimingSettings(speed=args.speed, duration=args.duration)
     motion = certified_motion(solution.problem, solution.path, timing)
     motion = _at_rate(args.rate, solution.problem, motion)
     save_trajectory(motion, args.trajectory)

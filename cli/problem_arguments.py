@@ -15,8 +15,9 @@ from cvqmpt_lab.cli.options import numbers
 from cvqmpt_lab.cli.problem_options import ROBOT_DETAILS
 from cvqmpt_lab.planning.planners import PLANNERS
 from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.robot.frame_speeds import with_frame_limits
 from cvqmpt_lab.robot.load import group_states, numbers_of, robot_from_source
-from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.robot.robot import FrameLimit, Robot
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.work import PRICES
 from cvqmpt_lab.tasks.task import Task
@@ -130,24 +131,35 @@ def chosen_problem(args: argparse.Namespace) -> PlanningProblem | Task:
         raise InvalidInputError(f"name a suite ({', '.join(SUITES)}) or give {options}, {either}")
     if args.problem_file is not None:
         robot = robot_source(args, args.problem_file)
-        return PlanningProblem.load(args.problem_file, robot=robot, clearance=args.clearance)
+        problem = PlanningProblem.load(args.problem_file, robot=robot, clearance=args.clearance)
+        return with_limits(args, problem)
     if robot_source(args):
         raise InvalidInputError(
             "--robot and --urdf go with --problem-file or --start; problems of suites and tasks "
             "have their own robot"
         )
     if args.suite is None:
-        return Task.load(args.task_file)
-    return with_clearance(args, suite_named(args.suite).solvable(args.problem))
+        return with_limits(args, Task.load(args.task_file))
+    return with_limits(args, suite_named(args.suite).solvable(args.problem))
 
 
-def with_clearance(
+def with_limits(
     args: argparse.Namespace, problem: PlanningProblem | Task
 ) -> PlanningProblem | Task:
-    """Return the problem with --clearance; a task is unchanged: its hand must touch objects."""
-    if not args.clearance or isinstance(problem, Task):
+    """Return the problem with --clearance and --tool-speed.
+
+    A task keeps its clearance: its hand must touch objects.
+    """
+    if args.clearance and isinstance(problem, PlanningProblem):
+        problem = replace(problem, clearance=args.clearance)
+    if args.tool_speed is None:
         return problem
-    return replace(problem, clearance=args.clearance)
+    is_task = isinstance(problem, Task)
+    robot = robot_from_source(problem.robot) if isinstance(problem, Task) else problem.robot
+    limit = FrameLimit(*args.tool_speed)
+    limits = {**robot.frame_limits, **dict.fromkeys(robot.end_effectors, limit)}
+    limited = with_frame_limits(robot, limits)
+    return replace(problem, robot=limited.source if is_task else limited)
 
 
 def budget(args: argparse.Namespace, cost: float | None = None) -> Budget:

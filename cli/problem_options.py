@@ -41,6 +41,14 @@ def _limits(option: str, text: str) -> float | list[float]:
     return limits[0] if len(limits) == 1 else limits
 
 
+def _tool_speed(text: str) -> list[float]:
+    """Return the speed, and perhaps the turning speed, of --tool-speed."""
+    speeds = numbers("--tool-speed", text)
+    if len(speeds) > 2 or min(speeds) <= 0.0:
+        raise InvalidInputError(f"--tool-speed {text!r}: write V or V,W, above 0 [m/s, rad/s]")
+    return speeds
+
+
 def _locked_joint(text: str) -> tuple[str, float]:
     """Return joint and value of one --lock."""
     joint, _, value = text.rpartition("=")
@@ -131,6 +139,13 @@ PROBLEM: Options = {
     ),
     "--problem": option("index in the suite (0)", type=int, default=0, metavar="I"),
     "--problem-file": option("a problem file instead of a suite", type=Path, metavar="P.json"),
+    "--tool-speed": option(
+        "largest speed of the end effector, and perhaps its largest turning speed (unlimited, or "
+        "'frame_limits' of the robot in the file): motions keep it, certificates check it, --speed "
+        "does not scale it [m/s, rad/s]",
+        type=_tool_speed,
+        metavar="V[,W]",
+    ),
     "--clearance": option(
         "least distance of the robot and its load to obstacles, for planning and certificate (0, "
         "or that of the file)",

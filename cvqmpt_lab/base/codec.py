@@ -227,6 +227,8 @@ def _reader(kind: Any, complete: bool) -> Reader:
         return lambda value, where: require_choice(where, value, parts)
     if origin is tuple:
         return _tuple(parts, complete)
+    if origin is Mapping and dataclasses.is_dataclass(parts[1]):
+        return partial(_named, _reader(parts[1], complete))
     if origin is Mapping:
         return lambda value, where: dict(mapping(value, where))
     if dataclasses.is_dataclass(kind) or inspect.isfunction(kind):
@@ -262,6 +264,11 @@ def _object(kind: Any, complete: bool, value: Any, where: str) -> Any:
         made = _made(kind, {**defaults, **parts})
         made._check()
         return made
+
+
+def _named(read: Reader, value: Any, where: str) -> dict[str, Any]:
+    """Build the objects of a JSON object whose keys are names."""
+    return {name: read(item, at(where, name)) for name, item in mapping(value, where).items()}
 
 
 def _made(kind: Any, fields: dict[str, Any]) -> Any:

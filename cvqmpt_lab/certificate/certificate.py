@@ -49,6 +49,8 @@ class FaultKind(StrEnum):
     JERK = "jerk"
     EFFORT = "effort"
     TORQUE_RATE = "torque_rate"
+    FRAME_SPEED = "frame_speed"
+    FRAME_TURNING_SPEED = "frame_turning_speed"
     CURRENT = "current"
 
 

@@ -15,6 +15,7 @@ from cvqmpt_lab.certificate.certificate import Fault, FaultKind
 from cvqmpt_lab.certificate.motion_curves import rates
 from cvqmpt_lab.geometry.polyline import numbered_parts
 from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.robot.frame_speeds import FrameSpeeds
 from cvqmpt_lab.robot.robot import JointLimits, Robot
 from cvqmpt_lab.trajectory.trajectory import bounds, extremes
 
@@ -28,6 +29,8 @@ LIMIT_OVERSHOOT = {
     FaultKind.JERK: 0.01,
     FaultKind.EFFORT: 0.01,
     FaultKind.TORQUE_RATE: 0.01,
+    FaultKind.FRAME_SPEED: 1e-3,
+    FaultKind.FRAME_TURNING_SPEED: 1e-3,
 }
 
 
@@ -35,8 +38,8 @@ class LimitUse(NamedTuple):
     """The largest share of a limit that a motion uses."""
 
     kind: FaultKind
-    joint: str  # that uses the largest share
-    value: float  # largest rate or effort of that joint
+    of: str  # joint that uses the largest share, or frame
+    value: float  # its largest rate or effort
     limit: float
     unit: str
     time: float  # of that value [s]
@@ -58,7 +61,7 @@ class LimitUse(NamedTuple):
         needs = self.kind in (FaultKind.EFFORT, FaultKind.TORQUE_RATE)
         does = "needs up to" if needs else "reaches"
         return (
-            f"{self.joint} {does} {self.value:.4g} {self.unit}, its {self.words} limit is "
+            f"{self.of} {does} {self.value:.4g} {self.unit}, its {self.words} limit is "
             f"{self.limit:.4g}"
         )
 
@@ -187,6 +190,43 @@ def effort_uses(
         k, joint = np.unravel_index(int((values / limit).argmax()), values.shape)
         value, name = float(values[k, joint]), limits.joint_names[joint]
         yield LimitUse(kind, name, value, float(limit[joint]), unit, float(moments[k]))
+
+
+def frame_uses(
+    robot: Robot, curve: PPoly, resolution: float = 5e-4, most_parts: int = 200_000
+) -> Iterator[LimitUse | Fault]:
+    """Yield the use of the speed limits of the robot's frames, at any time.
+
+    On a part of a piece, h [s] long, a speed is at most the larger one of its ends plus h^2 / 8
+    times the bound of `FrameSpeeds.bend`; parts are so short that this is less than `resolution`
+    of the limit.
+
+    Args:
+        robot: the robot with its limits.
+        curve: q(t).
+        resolution: see above.
+        most_parts: largest number of parts; with more, speeds are not proven, which is a fault.
+    """
+    frames = FrameSpeeds(robot)
+    if not frames.limits:
+        return
+    limits = np.array([limit for _, _, limit in frames.limits])
+    spans = np.diff(curve.x)
+    bend = frames.bend(np.array([bounds(curve, order) for order in (1, 2, 3)]))
+    parts = np.ceil(spans * np.sqrt((bend / (8.0 * resolution * limits)).max(axis=1))).clip(min=1.0)
+    if not parts.sum() <= most_parts:
+        text = f"speeds of frames are not proven: that takes {parts.sum():.3g} checks, more than "
+        yield Fault(FaultKind.NOT_PROVEN, f"{text}{most_parts}")
+        return
+    piece, number = numbered_parts(parts.astype(int) + 1)
+    after = number * (spans / parts)[piece]
+    q, rates = (np.polyval(curve.derivative(k).c[:, piece], after[:, None]) for k in (0, 1))
+    most = frames.speeds(q, rates) + ((spans / parts) ** 2 / 8.0)[piece, None] * bend[piece]
+    for k, (name, turning, limit) in enumerate(frames.limits):
+        at = int(most[:, k].argmax())
+        kind = FaultKind.FRAME_TURNING_SPEED if turning else FaultKind.FRAME_SPEED
+        unit, time = "rad/s" if turning else "m/s", float(curve.x[piece[at]] + after[at])
+        yield LimitUse(kind, name, float(most[at, k]), limit, unit, time)
 
 
 def rest_faults(

@@ -20,6 +20,7 @@ from cvqmpt_lab.certificate.limit_use import (
     Ends,
     LimitUse,
     effort_uses,
+    frame_uses,
     position_use,
     rate_uses,
     rest_faults,
@@ -28,6 +29,7 @@ from cvqmpt_lab.certificate.motion_curves import curves_of, straight_moments
 from cvqmpt_lab.collision.carried import reach_with
 from cvqmpt_lab.geometry.polyline import step_lengths
 from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.robot.frame_speeds import FrameSpeeds
 from cvqmpt_lab.search.result import JointPath
 from cvqmpt_lab.trajectory.trajectory import Motion, Trajectory
 
@@ -76,7 +78,9 @@ def certified_motion(
     states[-1] = path.states[-1]
 
     faults = partial(trajectory_faults, problem)
-    return time_path(states, problem.robot.joint_limits, settings, faults, problem.dynamics)
+    frames = FrameSpeeds(problem.robot) if problem.robot.frame_limits else None
+    limits = problem.robot.joint_limits
+    return time_path(states, limits, settings, faults, problem.dynamics, frames)
 
 
 def trajectory_faults(problem: PlanningProblem, motion: Trajectory) -> Sequence[str]:
@@ -183,9 +187,11 @@ def _uses(
     # the quintic has these accelerations at its points
     given = motion.accelerations if name == "cubic" else None
     found = [*rate_uses(name, curve, given, limits)]
-    efforts = [] if name == "linear" else [*effort_uses(problem, curve)]
-    missing = [item for item in efforts if isinstance(item, Fault)]
-    return (*found, *(item for item in efforts if isinstance(item, LimitUse))), missing
+    proven = [*frame_uses(problem.robot, curve)]
+    if name != "linear":
+        proven += effort_uses(problem, curve)
+    missing = [item for item in proven if isinstance(item, Fault)]
+    return (*found, *(item for item in proven if isinstance(item, LimitUse))), missing
 
 
 def _with_faults(certificate: Certificate, faults: Sequence[Fault], ends: Ends) -> Certificate:

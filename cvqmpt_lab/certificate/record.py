@@ -92,7 +92,7 @@ def record(
         "limits": [
             {
                 "kind": str(use.kind),
-                "joint": use.joint,
+                "of": use.of,
                 "share": round(use.share, 6),
                 "value": use.value,
                 "limit": use.limit,
@@ -153,7 +153,7 @@ def report_lines(found: DryRun, contents: dict[str, Any]) -> list[str]:
         slower = contents["limits_hold_at_speed"]
         lines.append(f"slower      at {slower:.2f} of this speed every limit holds")
     lines += [
-        f"limit       {use.words} used to {use.share:.3g} by {use.joint} at {use.time:.4f} s"
+        f"limit       {use.words} used to {use.share:.3g} by {use.of} at {use.time:.4f} s"
         for use in found.uses
     ]
     if certificate.states_checked == 0:

@@ -293,6 +293,7 @@ def _built(source: Mapping[str, Any], free: Sequence[str] = ()) -> Robot:
         bodiless=tuple(sorted(bodies.bodiless, key=lambda name: _joint_of(model, name) == 0)),
         remarks=remarks,
         limits={"effort": plausible, **limits},
+        frame_limits=dict(given.frame_limits),
         files=tuple({**read, **meshes}.items()),
         continuous=tuple(name for name in names if urdf.joints[name].kind == "continuous"),
     )

@@ -8,13 +8,13 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
 from cvqmpt_lab.base.errors import InvalidInputError, few, require_choice
-from cvqmpt_lab.base.values import frozen
+from cvqmpt_lab.base.values import Condition, frozen
 from cvqmpt_lab.robot.kinematics import Kinematics
 
 
@@ -95,6 +95,21 @@ LIMIT_UNITS = {
     "torque_rate": "Nm/s",
 }
 SLOW_SPEED = 0.1  # factor of the speed limits for a first try on a real arm (Panda: 0.2 rad/s)
+
+
+Speed = Annotated[float, Condition(float, lambda x: 0.0 < x < np.inf, "a number above 0")]
+
+
+@dataclass(frozen=True)
+class FrameLimit:
+    """Largest speeds of a frame of the robot in the world; None: not limited."""
+
+    speed: Speed | None = None  # of its origin [m/s]
+    turning_speed: Speed | None = None  # [rad/s]
+
+    def __post_init__(self) -> None:
+        if self.speed is None and self.turning_speed is None:
+            raise InvalidInputError("a frame's limit has neither 'speed' nor 'turning_speed'")
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,11 +213,15 @@ class Robot:
     remarks: tuple[str, ...] = ()  # on what was read of the URDF and SRDF otherwise than written
     # (n,) each, by the field's name in `JointLimits`; unknown ones and velocity are left out
     limits: Mapping[str, np.ndarray] = field(default_factory=dict)
+    # largest speeds of frames of the robot, by the frame's name
+    frame_limits: Mapping[str, FrameLimit] = field(default_factory=dict)
     files: tuple[tuple[str, str], ...] = ()  # path and sha256 of each source file
     # planned joints that the URDF calls continuous: configurations a whole turn apart are equal
     continuous: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
+        for name in self.frame_limits:
+            require_choice(f"frame of robot {self.name} in frame_limits", name, self.frame_names)
         # problems share robots
         frozen((self.kinematics, *self.end_effectors.values(), *self.limits.values()))
 

@@ -20,6 +20,7 @@ from cvqmpt_lab.base.codec import from_plain
 from cvqmpt_lab.base.errors import InvalidInputError, UnknownChoiceError, located, mapping, unique
 from cvqmpt_lab.base.poses import Pose
 from cvqmpt_lab.base.values import FloatArray, numbers
+from cvqmpt_lab.robot.robot import FrameLimit
 from cvqmpt_lab.robot.urdf import collada_unit, read_urdf
 
 
@@ -51,6 +52,8 @@ class RobotSource:
     effort_limits: Annotated[FloatArray, PerJoint()] | None = None
     # (n,), or () for all joints [Nm/s or N/s], of a controller that runs at 1 kHz
     torque_rate_limits: Annotated[FloatArray, PerJoint()] | None = None
+    # largest speeds of frames by name, such as the tool or the elbow
+    frame_limits: Mapping[str, FrameLimit] = field(default_factory=dict)
     # folders that are searched first for ``package://`` mesh paths
     package_dirs: tuple[str, ...] = ()
     # whether <safety_controller> does not narrow the joint limits

@@ -25,6 +25,7 @@ from scipy.interpolate import BSpline
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.geometry.polyline import distances_along, states_at
 from cvqmpt_lab.robot.dynamics import Dynamics
+from cvqmpt_lab.robot.frame_speeds import FrameSpeeds
 from cvqmpt_lab.robot.robot import JointLimits
 
 
@@ -129,6 +130,7 @@ def squared_speeds(
     curve: SmoothCurve,
     limits: JointLimits,
     dynamics: Dynamics | None = None,
+    frames: FrameSpeeds | None = None,
     flat: float = 1e-3,
     standstill: float = 1e-8,
 ) -> np.ndarray:
@@ -138,6 +140,7 @@ def squared_speeds(
         curve: q(s).
         limits: |dq/ds| sqrt(b) <= velocity, |d2q/ds2 b + dq/ds (db/ds) / 2| <= acceleration.
         dynamics: |M (d2q/ds2 b + dq/ds (db/ds) / 2) + C(q, dq/ds) dq/ds b + g| <= effort, or None.
+        frames: limits of the speeds of frames, |J dq/ds| sqrt(b) <= speed; or None.
         flat: lower bound of |dq/ds| / velocity as a share of its median; it is 0 where all joints
             reverse at once.
         standstill: b, as a share of its typical value, below which the motion stands still.
@@ -152,6 +155,8 @@ def squared_speeds(
     slowness = (slope / limits.velocity).max(axis=1)
     bound = np.maximum(slowness, flat * np.median(slowness)) ** -2
     bound = np.minimum(bound, _slow_at_corners(curve, limits, dynamics))
+    if frames is not None:
+        bound = np.minimum(bound, _slow_frames(curve, frames))
     typical = 1.0 / np.median((slope / limits.acceleration).max(axis=1))
     scale = min(np.median(bound), 2.0 * float(curve.marks[-1]) * typical)
     rows = [
@@ -170,6 +175,16 @@ def squared_speeds(
     if greatest[1:-1].min() <= standstill:
         raise InvalidInputError(_why_not(curve, limits, greatest))
     return scale * np.maximum(greatest, 0.0)
+
+
+def _slow_frames(curve: SmoothCurve, frames: FrameSpeeds) -> np.ndarray:
+    """Bounds (g,) on b so that frames keep their speeds at the grid and between its points."""
+    s = np.linspace(curve.grid[:-1], curve.grid[1:], 5)
+    used = frames.shares(curve.spline(s.ravel()), curve.spline(s.ravel(), 1)).reshape(s.shape)
+    largest = used.max(axis=0)
+    around = np.maximum(np.append(largest, 0.0), np.append(0.0, largest))
+    with np.errstate(divide="ignore"):
+        return around**-2.0
 
 
 def _slow_at_corners(

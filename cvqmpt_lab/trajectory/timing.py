@@ -14,7 +14,7 @@ within the jerk limits. If the averaged motion exceeds a limit, all of it is slo
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.interpolate import PPoly
@@ -22,6 +22,7 @@ from scipy.interpolate import PPoly
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.geometry.polyline import step_lengths
 from cvqmpt_lab.robot.dynamics import Dynamics
+from cvqmpt_lab.robot.frame_speeds import FrameSpeeds
 from cvqmpt_lab.robot.robot import SLOW_SPEED, JointLimits
 from cvqmpt_lab.trajectory.squared_speeds import SmoothCurve, smooth_curve, squared_speeds
 from cvqmpt_lab.trajectory.trajectory import Trajectory, extremes, quintic
@@ -33,6 +34,7 @@ class TimingSettings:
 
     speed: float = SLOW_SPEED  # factor on velocity and acceleration limits, above 0 and at most 1
     deviation: float = 1e-3  # largest distance from the polyline at rounded corners [rad]
+    duration: float | None = None  # of the motion [s]; None: as short as the limits allow
 
 
 def time_path(
@@ -41,6 +43,7 @@ def time_path(
     settings: TimingSettings | None = None,
     check: Callable[[Trajectory], Sequence[str]] | None = None,
     dynamics: Dynamics | None = None,
+    frames: FrameSpeeds | None = None,
 ) -> Trajectory:
     """Compute a fast motion along waypoints within the limits, at rest at both ends.
 
@@ -51,6 +54,8 @@ def time_path(
         check: returns the faults of a motion, see `motion_check.certified_motion`. As long as
             there are any, the deviation is halved, at most five times.
         dynamics: dynamics of the arm and its loads; None: efforts are not limited.
+        frames: limits of the speeds of frames, which the speed factor leaves as they are; None:
+            they are not limited.
 
     Raises InvalidInputError for invalid waypoints and for a path that cannot be timed; the message
     then names the joint and the limit.
@@ -66,13 +71,39 @@ def time_path(
     reasons: Sequence[str] = ()
     for k in range(6):
         curve = smooth_curve(states, settings.deviation / 2**k)
-        motion = _trajectory(curve, squared_speeds(curve, limits, dynamics), limits, dynamics)
+        squared = squared_speeds(curve, limits, dynamics, frames)
+        motion = _trajectory(curve, squared, limits, dynamics, frames)
+        if settings.duration is not None:
+            motion = _lasting(motion, settings.duration)
         reasons = check(motion) if check else ()
         if not reasons:
             return motion
     raise InvalidInputError(
         f"the path with rounded corners is refused even {curve.deviation:.1e} rad from it: "
         f"{'; '.join(reasons)}; plan with another seed"
+    )
+
+
+def _lasting(motion: Trajectory, duration: float) -> Trajectory:
+    """Return a motion at a lower speed, so that it takes `duration` [s]; refuse a higher one."""
+    if not duration >= motion.duration:
+        raise InvalidInputError(
+            f"the motion takes {motion.duration:.4f} s at least, {duration:g} s is too short: give "
+            "a longer duration or higher limits (or a higher speed factor on them)"
+        )
+    slower = duration / motion.duration
+    # controllers read whole nanoseconds
+    times = np.round(slower * motion.times, 9)
+    at = np.minimum(times / slower, motion.duration)
+    velocities = motion.curve(at, 1) / slower
+    accelerations = motion.curve(at, 2) / slower**2
+    velocities[[0, -1]] = accelerations[[0, -1]] = 0.0
+    return replace(
+        motion,
+        times=times,
+        positions=motion.curve(at),
+        velocities=velocities + 0.0,  # + 0.0 turns -0.0 into 0.0
+        accelerations=accelerations + 0.0,
     )
 
 
@@ -99,7 +130,11 @@ def _checked_waypoints(waypoints: np.ndarray) -> np.ndarray:
 
 
 def _trajectory(
-    curve: SmoothCurve, squared: np.ndarray, limits: JointLimits, dynamics: Dynamics | None
+    curve: SmoothCurve,
+    squared: np.ndarray,
+    limits: JointLimits,
+    dynamics: Dynamics | None,
+    frames: FrameSpeeds | None,
 ) -> Trajectory:
     """The averaged motion with the best window: from 4 ms on, doubled while the motion is shorter.
 
@@ -114,10 +149,10 @@ def _trajectory(
     longest = float(np.diff(times).max())
     if longest <= 0.01 * window:
         window = 50.0 * longest
-    motion = _averaged(curve, fastest, limits, dynamics, window)
+    motion = _averaged(curve, fastest, limits, dynamics, frames, window)
     while limits.jerk is not None and longest > 0.02 * window:
         window *= 2.0
-        other = _averaged(curve, fastest, limits, dynamics, window)
+        other = _averaged(curve, fastest, limits, dynamics, frames, window)
         if other.duration >= motion.duration:
             break
         motion = other
@@ -129,6 +164,7 @@ def _averaged(
     fastest: PPoly,
     limits: JointLimits,
     dynamics: Dynamics | None,
+    frames: FrameSpeeds | None,
     window: float,
 ) -> Trajectory:
     """The fastest motion s(t) averaged over a window [s], slowed down until it keeps the limits."""
@@ -144,6 +180,8 @@ def _averaged(
     slower = _excess(motion, limits)
     if dynamics is not None:
         slower = max(slower, _excess_of_efforts(motion, limits, dynamics))
+    if frames is not None:
+        slower = max(slower, _excess_of_frames(motion, frames))
     return _along(curve, average, moments, limits.joint_names, slower)
 
 
@@ -205,6 +243,15 @@ def _excess(motion: Trajectory, limits: JointLimits, spare: float = 1e-6) -> flo
             most = float((np.abs(extremes(motion.curve, order)[1]) / limit).max())
             slower = max(slower, (1.0 + spare) * most ** (1.0 / order))
     return slower
+
+
+def _excess_of_frames(
+    motion: Trajectory, frames: FrameSpeeds, spare: float = 1e-4, period: float = 1e-3
+) -> float:
+    """Factor on the times, at least 1, so that frames keep their speeds every `period` [s]."""
+    curve = motion.curve
+    times = np.union1d(curve.x, np.arange(0.0, curve.x[-1], period))
+    return max(1.0, (1.0 + spare) * float(frames.shares(curve(times), curve(times, 1)).max()))
 
 
 def _excess_of_efforts(
