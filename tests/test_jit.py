@@ -15,6 +15,8 @@ from refusals import refused
 
 from cvqmpt_lab.base.jit import (
     KERNEL_FILES,
+    Entry,
+    Pointer,
     check_arrays,
     compile_in_processes,
     entries,
@@ -22,7 +24,10 @@ from cvqmpt_lab.base.jit import (
     forget_unused,
     kernel,
 )
-from cvqmpt_lab.constraints.region_constraint import RegionConstraint
+from cvqmpt_lab.constraints import project as projection
+from cvqmpt_lab.constraints.constraint import with_functions
+from cvqmpt_lab.constraints.region_constraint import RegionConstraint, stack_regions
+from cvqmpt_lab.constraints.regions import FunctionRows
 from cvqmpt_lab.constraints.task_space_region import upright
 from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.search import birrt, lazy_roadmap, motion, shortcut
@@ -51,6 +56,37 @@ def a_pair(rows=3, n=2, dtype=np.int64):
 def test_right_arrays_pass_and_compiled_callers_see_the_kernel_itself():
     assert first_entry(a_pair(), np.ones(2), 3.0) == 4.0
     assert from_python(twice_first_entry)(a_pair(), np.ones(2)) == 4.0
+
+
+@entry(inline="never")
+def on_circle(
+    derivative: int,
+    n: int,
+    m: int,
+    q: Pointer,
+    rotation: Pointer,
+    translation: Pointer,
+    parameters: Pointer,
+    out: Pointer,
+):
+    """Circle of the first two joints, with its squared radius as parameter."""
+    for j in range(n * derivative):
+        out[j] = 2.0 * q[j] if j < 2 else 0.0
+    if not derivative:
+        out[0] = q[0] * q[0] + q[1] * q[1] - parameters[0]
+    return 0
+
+
+def test_an_entry_is_a_function_that_other_kernels_call_by_its_address(panda):
+    rows = FunctionRows(on_circle.address, np.zeros(1), np.zeros(1), np.array([0.25]))
+    regions = with_functions(stack_regions(panda, (upright(),)), [rows], 0.0)
+    scratch = projection.projection_scratch(panda.kinematics, regions)
+    q = np.full(7, 0.2)
+    assert projection.project(panda.kinematics, regions, q, 1e-9, 20, scratch) > 0
+    assert abs(q[0] ** 2 + q[1] ** 2 - 0.25) < 1e-9
+    again = Entry(on_circle.py_func, on_circle.options)  # its machine code is on disk
+    assert again.address != on_circle.address
+    Entry.all.remove(again)
 
 
 UNEVEN = Pair(np.ones((3, 2)), np.zeros(4, int))

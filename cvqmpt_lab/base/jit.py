@@ -22,12 +22,13 @@ import warnings
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple, get_type_hints
+from typing import Any, ClassVar, NamedTuple, NewType, get_type_hints
 
 import numpy as np
 from llvmlite import binding as llvm
 from llvmlite import ir
 from numba import config, from_dtype, njit, types
+from numba.core import cgutils
 from numba.core.caching import FunctionCache, UserProvidedCacheLocator
 from numba.core.registry import cpu_target
 from numba.extending import intrinsic
@@ -46,8 +47,15 @@ INLINE_OPTIONS: dict[str | None, dict] = {
     None: {},
     "machine": {"forceinline": True},
     "source": {"inline": "always"},
+    "never": {"no_cfunc_wrapper": False},
 }
-SCALAR_TYPES = {float: types.float64, int: types.int64, bool: types.boolean}
+Pointer = NewType("Pointer", int)  # to numbers, of an entry that is called by its `address`
+SCALAR_TYPES: dict[Any, types.Type] = {
+    float: types.float64,
+    int: types.int64,
+    bool: types.boolean,
+    Pointer: types.CPointer(types.float64),
+}
 # A wheel must find the same files as a check-out, where cli, experiments and paper_tables are links
 # that are not followed: no file of these folders may name this module in full.
 KERNEL_FILES = [
@@ -176,6 +184,11 @@ class _Cache(FunctionCache):
         Numba's `load_overload` also reads data for compiling callers: type rules (imports of 0.3 s)
         and the intermediate code (10 ms an entry).
         """
+        found = self.library(sig)
+        return found and cpu_target.target_context.get_executable(*found)
+
+    def library(self, sig: tuple[types.Type, ...]) -> tuple[Any, Any, Any] | None:
+        """Return machine code, description and environment for a signature; None: not on disk."""
         context = cpu_target.target_context
         try:
             kept = self._cache_file.load(self._index_key(sig, context.codegen()))
@@ -188,7 +201,7 @@ class _Cache(FunctionCache):
         named = f'define void @"{description.llvm_cpython_wrapper_name}"() {{ ret void }}'
         code = (machine_code, llvm.parse_assembly(named).as_bitcode())
         library = context.codegen().unserialize_library((name, form, code))
-        return context.get_executable(library, description, environment)
+        return library, description, environment
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return the machine code for a signature, or None."""
@@ -230,15 +243,17 @@ def kernel(function: Callable | None = None, *, inline: str | None = None) -> An
 
 
 def entry(function: Callable | None = None, *, inline: str | None = None) -> Any:
-    """Compile a function that Python and other kernels call; inline: see `kernel`."""
+    """Compile a function that Python and other kernels call.
+
+    inline: see `kernel`; "never" makes a C function, which compiled code calls by its `address`.
+    """
     compiled = functools.partial(Entry, options=INLINE_OPTIONS[inline])
     return compiled if function is None else compiled(function)
 
 
 def _numba_function(function: Callable, options: dict[str, Any]) -> Any:
-    return njit(
-        error_model="numpy", fastmath={"contract"}, no_cfunc_wrapper=True, _nrt=False, **options
-    )(function)
+    fixed = {"error_model": "numpy", "fastmath": {"contract"}, "no_cfunc_wrapper": True}
+    return njit(_nrt=False, **fixed | options)(function)
 
 
 class Kernel:
@@ -295,6 +310,17 @@ class Entry(Kernel):
         known = self.cache and self.cache.function(signature)
         return known or self.dispatcher.compile(signature)
 
+    @functools.cached_property
+    def address(self) -> int:
+        """Address of the machine code as a C function, for `call_function`."""
+        signature = tuple(_numba_type(form) for form in _forms(self.py_func))
+        found = self.cache and self.cache.library(signature)
+        if not found:
+            self.dispatcher.compile(signature)
+            made = self.dispatcher.overloads[signature]
+            found = made.library, made.fndesc, None
+        return found[0].get_pointer_to_function(found[1].llvm_cfunc_wrapper_name)
+
     def __call__(self, *arguments: Any) -> Any:
         """Check the arrays, then call the machine code; InvalidInputError names a wrong array."""
         _check(arguments, _forms(self.py_func), {}, self.name, 1)
@@ -311,6 +337,25 @@ def call_address(typing_context, address):
         return builder.icmp_unsigned("!=", builder.call(pointer, []), ir.IntType(8)(0))
 
     return types.boolean(types.int64), generate
+
+
+@intrinsic
+def call_function(typing_context, address, arguments):
+    """Call a C function that takes and returns 64-bit integers, pointers among them.
+
+    Args:
+        typing_context: numba's.
+        address: of the function.
+        arguments: tuple of integers.
+    """
+
+    def generate(context, builder, signature, values):
+        word = ir.IntType(64)
+        given = cgutils.unpack_tuple(builder, values[1], len(arguments))
+        function = ir.FunctionType(word, [word] * len(given))
+        return builder.call(builder.inttoptr(values[0], function.as_pointer()), given)
+
+    return types.int64(types.int64, arguments), generate
 
 
 class _Form(NamedTuple):

@@ -1,21 +1,22 @@
 """The interface of a constraint F(q) = 0 on configurations q of a robot (paper, section III).
 
 A new constraint is one file with one class: `dim`, `residual`, `jacobian` and `describe`. It can be
-projected onto (Algorithm 1, here in numpy), searched on (Algorithm 3, see `search.space`) and codes
-can be moved towards it (Algorithm 2). With `bound_between` it can be proven between states.
-`RegionConstraint` is the constraint of task-space regions, in compiled code.
+projected onto (Algorithm 1), searched on (Algorithm 3, see `search.space`) and codes can be moved
+towards it (Algorithm 2). With `bound_between` it can be proven between states. Compiled code calls
+its Python functions by one address, or machine code of its own, see `rows`. `RegionConstraint` is
+the constraint of task-space regions, and of functions beside them.
 """
 
+import ctypes
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from functools import cached_property
+from typing import Any, Self
 
 import numpy as np
 
-from cvqmpt_lab.constraints.project import (
-    LONGEST_STEP,
-    PROJECTION_STEPS,
-    PROJECTION_TOLERANCE,
-)
-from cvqmpt_lab.constraints.regions import Regions, no_regions
+from cvqmpt_lab.constraints.regions import FunctionRows, Regions, no_regions
+from cvqmpt_lab.robot.robot import Robot
 
 
 class Constraint(ABC):
@@ -46,40 +47,93 @@ class Constraint(ABC):
         """
         return None
 
+    @property
+    def rows(self) -> FunctionRows:
+        """The constraint as a function that compiled code calls by its address."""
+        none = np.zeros(self.dim)
+        return FunctionRows(self._calls.address, none, none)
+
+    @cached_property
+    def _calls(self) -> "PythonRows":
+        return PythonRows(self)
+
+    def on(self, robot: Robot) -> Self:
+        """Return the constraint for a robot: itself."""
+        return self
+
+    def reraise(self) -> None:
+        """Raise what the constraint's Python code raised inside compiled code, Ctrl-C included."""
+        error, self._calls.error = self._calls.error, None
+        if error is not None:
+            raise error
+
     def inner_regions(self, inset: float = 0.0) -> Regions:
-        """Return the compiled regions of the constraint; none where it is Python code.
+        """Return the constraint as compiled code takes it.
 
         inset: bounds are moved inwards by this much [m, rad].
         """
-        return no_regions()
+        return with_functions(no_regions(), [self.rows], inset)
 
     def residual_and_jacobian(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return `residual` and `jacobian` of q (n,) or (b, n)."""
         return self.residual(q), self.jacobian(q)
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the fields that another process can use: addresses are left out."""
+        addresses = ("_calls", "regions", "_regions_alone")
+        return {name: kept for name, kept in vars(self).items() if name not in addresses}
 
-def project_in_numpy(
-    constraint: Constraint, q: np.ndarray, lower: np.ndarray, upper: np.ndarray
-) -> np.ndarray | None:
-    """Project a configuration by Algorithm 1, q <- q - J^+ F(q).
 
-    Args:
-        constraint: F and J.
-        q: (n,) [rad or m].
-        lower: joint limits (n,) that hold in every step [rad or m].
-        upper: joint limits (n,) [rad or m].
+class PythonRows:
+    """A constraint in Python that compiled code calls by `address`, see `FunctionRows`.
 
-    Returns:
-        The projected configuration, or None if |F| stays above the tolerance.
+    Exceptions cannot cross compiled code: one is kept in `error`, and the call has failed. Until
+    the error is taken away, every other call fails, too. The object must outlive its use.
     """
-    q = np.array(q, dtype=float)
-    for _ in range(PROJECTION_STEPS):
-        residual, jacobian = constraint.residual_and_jacobian(q)
-        if np.linalg.norm(residual) <= PROJECTION_TOLERANCE:
-            return q
-        step = np.linalg.pinv(jacobian, rcond=1e-6) @ residual
-        length = float(np.linalg.norm(step))
-        if not np.isfinite(length):
-            return None
-        q = np.clip(q - step * min(1.0, LONGEST_STEP / max(length, 1e-12)), lower, upper)
-    return q if np.linalg.norm(constraint.residual(q)) <= PROJECTION_TOLERANCE else None
+
+    def __init__(self, constraint: Constraint) -> None:
+        self.error: BaseException | None = None
+        call = self._call_of(constraint)
+        words = [ctypes.c_int64] * 3 + [ctypes.c_void_p] * 5
+        self._callback = ctypes.CFUNCTYPE(ctypes.c_int64, *words)(call)
+        self.address: int = ctypes.cast(self._callback, ctypes.c_void_p).value or 0
+
+    def _call_of(self, constraint: Constraint) -> Any:
+        """Return the function that compiled code calls; it copies arrays to and from pointers."""
+
+        def call(derivative: int, n: int, m: int, q: int, *pointers: int) -> int:
+            if self.error is not None:
+                return 1
+            try:
+                given = np.empty(n)
+                ctypes.memmove(given.ctypes.data, q, 8 * n)
+                found = constraint.jacobian(given) if derivative else constraint.residual(given)
+                shape = (m, n) if derivative else (m,)
+                found = np.ascontiguousarray(found, dtype=float).reshape(shape)
+                ctypes.memmove(pointers[-1], found.ctypes.data, found.nbytes)
+                return 0
+            except BaseException as error:
+                self.error = error
+                return 1
+
+        return call
+
+
+def with_functions(regions: Regions, functions: Sequence[FunctionRows], inset: float) -> Regions:
+    """Return regions with functions beside them.
+
+    inset: bounds of functions are moved inwards by this much, at most a tenth of their width.
+    """
+    k, counts = len(regions.link), [len(rows.lower) for rows in functions]
+    lower = np.concatenate([rows.lower for rows in functions])
+    upper = np.concatenate([rows.upper for rows in functions])
+    moved = np.minimum(inset, 0.1 * (upper - lower))
+    first = np.cumsum([0, *(len(rows.parameters) for rows in functions)])
+    return regions._replace(
+        region=np.concatenate([regions.region, np.repeat(k + np.arange(len(counts)), counts)]),
+        axis=np.concatenate([regions.axis, np.full(sum(counts), -1)]),
+        lower=np.concatenate([regions.lower, lower + moved]),
+        upper=np.concatenate([regions.upper, upper - moved]),
+        functions=np.column_stack([[rows.address for rows in functions], first[:-1]]),
+        parameters=np.concatenate([rows.parameters for rows in functions]),
+    )

@@ -141,7 +141,7 @@ def newton(kinematics, regions, q, tolerance, max_iterations, stop_on_stall, scr
     iteration, before = 0, np.inf
     while True:
         forward_kinematics(kinematics, q, rotation, translation)
-        square = residual(regions, rotation, translation, scratch.residual, scratch.displacement)
+        square = residual(regions, q, rotation, translation, scratch.residual, scratch.displacement)
         if square <= tolerance * tolerance:
             return iteration
         stalled = stop_on_stall and square > STALLED * STALLED * before
@@ -150,7 +150,7 @@ def newton(kinematics, regions, q, tolerance, max_iterations, stop_on_stall, scr
         before = square
         outside, J = scratch.residual, scratch.jacobian
         jacobian(
-            kinematics, regions, rotation, translation, scratch.displacement, False, outside, J
+            kinematics, regions, q, rotation, translation, scratch.displacement, False, outside, J
         )
         for _ in range(2):
             newton_step(scratch, scratch.step)

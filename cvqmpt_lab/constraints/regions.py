@@ -17,13 +17,16 @@ One more entry of x is the tilt, the angle between a = (0, 0, 1) and b = R a, wi
     tilt = atan2(|c|, a . b),    d tilt / dt = c . w / |c|.
 
 Its bound is a cone. F is smooth at the bound; where c = 0, inside it, the derivative is set to 0.
+
+Functions may stand beside regions. A function at an address, of machine code or of Python, computes
+x(q) and dx/dq of rows of its own, and F is the signed distance of these x outside their bounds.
 """
 
 from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.base.jit import entry, kernel
+from cvqmpt_lab.base.jit import call_function, entry, kernel
 from cvqmpt_lab.robot.kinematics import Kinematics, forward_kinematics
 
 SMALL_ANGLE = 1e-5  # [rad] below it, series are exact to double precision
@@ -69,7 +72,11 @@ def log_map_factor(e):
 
 
 class Regions(NamedTuple):
-    """k stacked regions with m bounded rows in all; rows are sorted by region, then axis."""
+    """k stacked regions and some functions with m bounded rows in all.
+
+    Rows are sorted by region, then axis; those of functions follow, in order. For a function at an
+    address see `FunctionRows`.
+    """
 
     link: Annotated[np.ndarray, "int64 k"]  # Pose row carrying the end frame
     base: Annotated[np.ndarray, "int64 k"]  # Pose row carrying the reference frame (0 = world)
@@ -77,14 +84,31 @@ class Regions(NamedTuple):
     end_translation: Annotated[np.ndarray, "k 3"]  # Its translation [m]
     reference_rotation: Annotated[np.ndarray, "k 3 3"]  # Rotation of T_base_w
     reference_translation: Annotated[np.ndarray, "k 3"]  # Its translation [m]
-    region: Annotated[np.ndarray, "int64 m"]  # Region of each row
-    axis: Annotated[np.ndarray, "int64 m"]  # 0-2 position, 3-5 rotation vector, 6 tilt
+    region: Annotated[np.ndarray, "int64 m"]  # Region of each row; k + f for function f
+    axis: Annotated[np.ndarray, "int64 m"]  # 0-2 position, 3-5 rotation vector, 6 tilt; else -1
     lower: Annotated[np.ndarray, "m"]  # Bounds [m or rad]
     upper: Annotated[np.ndarray, "m"]  # Bounds [m or rad]
+    functions: Annotated[np.ndarray, "int64 functions 2"]  # Address, number of first parameter
+    parameters: Annotated[np.ndarray, "parameters"]  # Of all functions
+
+
+class FunctionRows(NamedTuple):
+    """A function of rows x(q) at an address, and bounds on them.
+
+    It is called as ``int64 f(int64 derivative, int64 n, int64 m, double *q, double *rotation,
+    double *translation, double *parameters, double *out)`` with the link poses of q, see
+    `forward_kinematics`. It writes x (m,), or dx/dq (m, n) where derivative is 1, and returns 0, or
+    another number if it fails. An entry with ``inline="never"`` is such a function.
+    """
+
+    address: int
+    lower: np.ndarray  # (m,), bounds of x
+    upper: np.ndarray  # (m,), bounds of x
+    parameters: np.ndarray = np.empty(0)
 
 
 def no_regions() -> Regions:
-    """No region: every configuration satisfies the constraint."""
+    """No region, no function: every configuration satisfies the constraint."""
     none, numbers = np.empty(0, dtype=np.int64), np.empty(0)
     rotations, translations = np.empty((0, 3, 3)), np.empty((0, 3))
     return Regions(
@@ -98,6 +122,8 @@ def no_regions() -> Regions:
         axis=none,
         lower=numbers,
         upper=numbers,
+        functions=np.empty((0, 2), dtype=np.int64),
+        parameters=numbers,
     )
 
 
@@ -209,14 +235,70 @@ def _orientation_rows(regions, k, first):
     return tilts, turns
 
 
+@kernel
+def _call(regions, f, first, derivative, q, link_rotation, link_translation, out):
+    """Write x, or dx/dq, of function f, whose first row is first, into rows of out.
+
+    Return the row after its last one, and whether the function succeeded.
+    """
+    last = first
+    while last < regions.region.shape[0] and regions.region[last] == regions.region[first]:
+        last += 1
+    failed = call_function(
+        regions.functions[f, 0],
+        (
+            derivative,
+            q.shape[0],
+            last - first,
+            q.ctypes.data,
+            link_rotation.ctypes.data,
+            link_translation.ctypes.data,
+            regions.parameters[regions.functions[f, 1] :].ctypes.data,
+            out[first:].ctypes.data,
+        ),
+    )
+    return last, failed == 0
+
+
+@kernel
+def _function_residual(regions, q, link_rotation, link_translation, first, out):
+    """Write F of the rows of functions, from row first on, into out (m,); return its square."""
+    square = 0.0
+    for f in range(regions.functions.shape[0]):
+        last, done = _call(regions, f, first, 0, q, link_rotation, link_translation, out)
+        for row in range(first, last):
+            x, lower, upper = out[row], regions.lower[row], regions.upper[row]
+            out[row] = min(x - lower, 0.0) + max(x - upper, 0.0)
+            if not (done and np.isfinite(x)):
+                out[row] = np.nan
+            square += out[row] * out[row]
+        first = last
+    return square
+
+
+@kernel
+def _function_jacobian(
+    regions, q, link_rotation, link_translation, first, full, out_of_bounds, out
+):
+    """Write dF/dq of the rows of functions, from row first on, into out, see `jacobian`."""
+    for f in range(regions.functions.shape[0]):
+        last, done = _call(regions, f, first, 1, q, link_rotation, link_translation, out)
+        for row in range(first, last):
+            if not done or (out_of_bounds[row] == 0.0 and not full):
+                out[row, :] = 0.0
+        first = last
+
+
 @kernel(inline="machine")
-def residual(regions, link_rotation, link_translation, out, displacement):
+def residual(regions, q, link_rotation, link_translation, out, displacement):
     """Write F = min(x - lower, 0) + max(x - upper, 0) (m,) into out; return |F|^2.
 
-    x is the displacement of the regions, see the head of this file.
+    x is the displacement of the regions, see the head of this file. It is nan where a function
+    fails.
 
     Args:
         regions: k regions with m bounded rows.
+        q: (n,) [rad or m].
         link_rotation: (p, 3, 3) by `forward_kinematics`.
         link_translation: (p, 3) by `forward_kinematics` [m].
         out: (m,), written: F [m, rad].
@@ -247,6 +329,8 @@ def residual(regions, link_rotation, link_translation, out, displacement):
             out[first] = min(x - regions.lower[first], 0.0) + max(x - regions.upper[first], 0.0)
             square += out[first] * out[first]
             first += 1
+    if first < m:
+        square += _function_residual(regions, q, link_rotation, link_translation, first, out)
     return square
 
 
@@ -264,7 +348,7 @@ def _log_map_rate(vector, factor, square, w):
 
 @kernel(inline="machine")
 def jacobian(
-    kinematics, regions, link_rotation, link_translation, displacement, full, out_of_bounds, out
+    kinematics, regions, q, link_rotation, link_translation, displacement, full, out_of_bounds, out
 ):
     """Write J = dF/dq (m, n) into out: of v_j, Jl^-1(e) w_j and c . w_j / |c| for each joint j.
 
@@ -274,6 +358,7 @@ def jacobian(
     Args:
         kinematics: kinematics of the robot.
         regions: k regions with m bounded rows.
+        q: (n,) [rad or m].
         link_rotation: (p, 3, 3) by `forward_kinematics`.
         link_translation: (p, 3) by `forward_kinematics` [m].
         displacement: (k, 12), written by `residual` for the same link poses.
@@ -320,6 +405,10 @@ def jacobian(
                 else:
                     out[row, j] += kinematics.multiplier[joint] * value
         first = last
+    if first < m:
+        _function_jacobian(
+            regions, q, link_rotation, link_translation, first, full, out_of_bounds, out
+        )
 
 
 @entry
@@ -349,10 +438,12 @@ def batch_residual_and_jacobian(
     """
     for i in range(configurations.shape[0]):
         forward_kinematics(kinematics, configurations[i], rotation, translation)
-        residual(regions, rotation, translation, residuals[i], displacement)
+        q = configurations[i]
+        residual(regions, q, rotation, translation, residuals[i], displacement)
         jacobian(
             kinematics,
             regions,
+            q,
             rotation,
             translation,
             displacement,

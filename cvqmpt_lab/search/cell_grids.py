@@ -72,7 +72,7 @@ def _find_cells(space, grids, q):
     rotation, translation = space.scratch.link_rotation, space.scratch.link_translation
     displacement, x = space.scratch.displacement, grids.coordinates
     forward_kinematics(space.kinematics, q, rotation, translation)
-    residual(space.regions, rotation, translation, space.scratch.residual, displacement)
+    residual(space.regions, q, rotation, translation, space.scratch.residual, displacement)
     free = grids.rows.shape[0]
     for i in range(free):
         x[i] = displacement[grids.rows[i, 0], 3 + grids.rows[i, 1]]
@@ -219,7 +219,8 @@ def free_rows(space: ConstrainedSpace, wide: float = 1.0) -> np.ndarray:
         return np.empty((0, 2), dtype=np.int64)
     regions = space.constraint.inner_regions()
     width = np.full((len(regions.link), 7), np.inf)
-    width[regions.region, regions.axis] = regions.upper - regions.lower
+    rows = regions.axis >= 0  # not those of functions
+    width[regions.region[rows], regions.axis[rows]] = (regions.upper - regions.lower)[rows]
     # compiled code needs rows that lie one after the other in memory
     return np.ascontiguousarray(np.argwhere(width[:, :6] > wide))
 

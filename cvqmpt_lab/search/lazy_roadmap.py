@@ -151,6 +151,7 @@ def _factor(space, roadmap, i):
         )
         square = residual(
             space.regions,
+            roadmap.nodes[i],
             scratch.link_rotation,
             scratch.link_translation,
             scratch.residual,

@@ -58,12 +58,7 @@ class Space(NamedTuple):
     counters: Annotated[np.ndarray, "int64 8"]  # PROJECTIONS to DRAW_NEWTON_ITERATIONS
     state: Annotated[np.ndarray, "n"]  # work array
     scratch: ProjectionScratch  # work arrays of projections
-    # whether F is Python code: the callbacks project row 0 of `ends`, and judge the motion from row
-    # 0 to row 1
-    called: bool
-    project_call: int  # address
-    chord_call: int  # address
-    ends: Annotated[np.ndarray, "2 n"]
+    ends: Annotated[np.ndarray, "2 n"]  # work array of `motion_free`
     # largest |dq_j| of each joint per metre of sweep on a stretch, see `blocked_segment`
     motion: Annotated[np.ndarray, "n"]
 
@@ -75,18 +70,6 @@ def project_state(space, q):
     Returns:
         True on success; the scratch then holds the link poses.
     """
-    if space.called:
-        space.counters[PROJECTIONS] += 1
-        for j in range(q.shape[0]):
-            space.ends[0, j] = q[j]
-        if not call_address(space.project_call):
-            return False
-        for j in range(q.shape[0]):
-            q[j] = space.ends[0, j]
-        forward_kinematics(
-            space.kinematics, q, space.scratch.link_rotation, space.scratch.link_translation
-        )
-        return True
     iterations = project(
         space.kinematics, space.regions, q, space.tolerance, space.max_iterations, space.scratch
     )
@@ -292,11 +275,6 @@ def chord_on_manifold(space, a, b):
     """
     spacing = 1.25e-3  # [rad] of these steps
     scratch = space.scratch
-    if space.called:
-        for j in range(a.shape[0]):
-            space.ends[0, j] = a[j]
-            space.ends[1, j] = b[j]
-        return call_address(space.chord_call)
     if scratch.residual.shape[0] == 0:
         return True
     k, pieces = 1, 2
@@ -304,12 +282,13 @@ def chord_on_manifold(space, a, b):
         _place_between(space, a, b, k / pieces)
         violation = residual(
             space.regions,
+            space.state,
             scratch.link_rotation,
             scratch.link_translation,
             scratch.residual,
             scratch.displacement,
         )
-        if violation > space.chord * space.chord:
+        if not violation <= space.chord * space.chord:  # nan of a function that fails
             return False
         k += 1
         if pieces == 2 and _near_half_turn(space):

@@ -10,7 +10,7 @@ from cvqmpt_lab.base.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.base.jit import check_arrays, entry
 from cvqmpt_lab.collision.arrays import robot_arrays, robot_swing, scene_arrays
 from cvqmpt_lab.collision.carried import reach_with
-from cvqmpt_lab.constraints.constraint import Constraint, project_in_numpy
+from cvqmpt_lab.constraints.constraint import Constraint
 from cvqmpt_lab.constraints.problem_parts import ProblemParts, StateChecker
 from cvqmpt_lab.constraints.project import (
     PROJECTION_STEPS,
@@ -60,10 +60,11 @@ def constraint_one(
     scratch = space.scratch
     rotation, translation = scratch.link_rotation, scratch.link_translation
     forward_kinematics(space.kinematics, q, rotation, translation)
-    residual(space.regions, rotation, translation, out_residual, scratch.displacement)
+    residual(space.regions, q, rotation, translation, out_residual, scratch.displacement)
     jacobian(
         space.kinematics,
         space.regions,
+        q,
         rotation,
         translation,
         scratch.displacement,
@@ -116,50 +117,14 @@ class StateCheck:
         self.address: int = ctypes.cast(self._callback, ctypes.c_void_p).value or 0
 
 
-class ConstraintCalls:
-    """A constraint in Python that compiled code calls by address, see `motion.Space.called`.
-
-    Exceptions cannot cross compiled code: one is kept in `error`, and the projection counts as
-    failed. The object must outlive its use.
-    """
-
-    def __init__(self, constraint: Constraint, robot: Robot, chord: float) -> None:
-        self.error: BaseException | None = None
-        self.ends = ends = np.zeros((2, robot.dof))
-
-        def project() -> bool:
-            q = project_in_numpy(constraint, ends[0], robot.lower, robot.upper)
-            if q is not None:
-                ends[0] = q
-            return q is not None
-
-        def chord_on_manifold() -> bool:
-            middle = 0.5 * (ends[0] + ends[1])
-            return bool(np.linalg.norm(constraint.residual(middle)) <= chord)
-
-        def guarded(function: Callable[[], bool]) -> Callable[[], bool]:
-            def call() -> bool:
-                try:
-                    return self.error is None and function()
-                except BaseException as error:
-                    self.error = error
-                    return False
-
-            return call
-
-        as_address = ctypes.CFUNCTYPE(ctypes.c_bool)
-        self._calls = [as_address(guarded(one)) for one in (project, chord_on_manifold)]
-        self.addresses = [ctypes.cast(call, ctypes.c_void_p).value or 0 for call in self._calls]
-
-
 class ConstrainedSpace:
     """Arrays of a robot, a scene and a constraint for compiled code, and counters of the work.
 
     Args:
         robot: the robot.
         scene: obstacles.
-        constraint: F(q) = 0; None: all configurations. Without compiled regions, compiled code
-            calls its Python functions: a projection then takes about a hundred times as long.
+        constraint: F(q) = 0; None: all configurations. Compiled code calls it by an address where
+            it is Python code, which takes longer.
         attachments: bodies that the robot carries.
         clearance: distance kept from obstacles in addition to `margin` [m].
         backend: state checks are "compiled", or "exact" by `checker`; everything else is the same.
@@ -210,11 +175,6 @@ class ConstrainedSpace:
         exact = checker(margin) if checker is not None and backend == "exact" else None
         self._check = StateCheck(exact, n)
         regions = no_regions() if constraint is None else constraint.inner_regions(inset)
-        self._calls: ConstraintCalls | None = None
-        if constraint is not None and constraint.dim > len(regions.axis):
-            # no bound is tightened: |F| may be what the certificate allows
-            self._calls = ConstraintCalls(constraint, robot, CERTIFIED_CHORD)
-        addresses = self._calls.addresses if self._calls else (0, 0)
         self.arrays = motion.Space(
             kinematics=robot.kinematics,
             regions=regions,
@@ -234,10 +194,7 @@ class ConstrainedSpace:
             counters=np.zeros(8, dtype=np.int64),
             state=np.zeros(n),
             scratch=projection_scratch(robot.kinematics, regions),
-            called=self._calls is not None,
-            project_call=addresses[0],
-            chord_call=addresses[1],
-            ends=self._calls.ends if self._calls else np.zeros((2, n)),
+            ends=np.zeros((2, n)),
             motion=np.zeros(n),
         )
         check_arrays(self.arrays)
@@ -304,10 +261,11 @@ class ConstrainedSpace:
 
     def reraise(self) -> None:
         """Raise what Python code raised inside compiled code, Ctrl-C included."""
-        for call in (self._check, self._calls):
-            if call is not None and call.error is not None:
-                error, call.error = call.error, None
-                raise error
+        error, self._check.error = self._check.error, None
+        if error is not None:
+            raise error
+        if self.constraint is not None:
+            self.constraint.reraise()
 
     @property
     def dim(self) -> int:
@@ -338,8 +296,6 @@ class ConstrainedSpace:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return F(q) (m,) and dF/dq (m, n); full: also the rows of dF/dq where F is 0."""
         self._require_configuration(q)
-        if self._calls is not None and self.constraint is not None:
-            return self.constraint.residual_and_jacobian(q)
         residual, jacobian = np.zeros(self.dim), np.zeros((self.dim, self.robot.dof))
         constraint_one.unchecked(self.arrays, q, full, residual, jacobian)
         return residual, jacobian

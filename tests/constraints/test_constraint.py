@@ -1,5 +1,6 @@
 """The interface of constraints: projection, search and update of codes with a new class."""
 
+import pickle
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -7,7 +8,8 @@ import numpy as np
 import pytest
 
 from cvqmpt_lab.base.poses import pose
-from cvqmpt_lab.constraints.constraint import Constraint, project_in_numpy
+from cvqmpt_lab.constraints.constraint import Constraint
+from cvqmpt_lab.constraints.named import plane
 from cvqmpt_lab.constraints.project import PROJECTION_TOLERANCE
 from cvqmpt_lab.constraints.region_constraint import RegionConstraint
 from cvqmpt_lab.constraints.task_space_region import upright, upright_box
@@ -80,19 +82,44 @@ def test_a_constraint_in_python_is_searched_on(panda, pole):
     assert space.dim == 1 and shorter.length <= found.path.length
 
 
-def test_projection_in_numpy_ends_where_compiled_projection_does(panda):
-    """Both projections exist for task-space regions."""
-    regions = RegionConstraint(panda, (upright_box(0.05),))
-    draws = panda.random_configurations(np.random.default_rng(1), 200)
-    both = 0
-    for q in draws:
-        ours = project_in_numpy(regions, q, panda.lower, panda.upper)
-        compiled = regions.project(q)
-        if ours is not None and compiled is not None:
-            both += 1
-            assert np.linalg.norm(regions.residual(ours)) <= PROJECTION_TOLERANCE
-            assert ((ours >= panda.lower) & (ours <= panda.upper)).all()
-    assert both > 100
+@dataclass(frozen=True)
+class AsFunction(Constraint):
+    """A constraint whose Python functions compiled code calls."""
+
+    given: Constraint
+
+    @property
+    def dim(self):
+        return self.given.dim
+
+    def residual(self, q):
+        return self.given.residual(q)
+
+    def jacobian(self, q):
+        return self.given.jacobian(q)
+
+    def describe(self):
+        return "called"
+
+
+def test_a_function_is_projected_onto_as_the_regions_that_it_computes(panda):
+    """Alone, and beside a region; in another process it has other addresses."""
+    tilted = RegionConstraint(panda, (upright_box(0.05),))
+    for region in ((), (plane((0.0, 0.0, 1.0), (0.0, 0.0, 0.5)),)):
+        regions = RegionConstraint(panda, (*region, *tilted.members))
+        mixed = RegionConstraint(panda, (*region, AsFunction(tilted)))
+        again = pickle.loads(pickle.dumps(mixed))
+        assert mixed.regions.functions[0, 0] != again.regions.functions[0, 0] > 0
+        spaces = [
+            ConstrainedSpace(panda, Scene("empty", ()), one, inset=0.0)
+            for one in (regions, mixed, again)
+        ]
+        for q in panda.random_configurations(np.random.default_rng(1), 50):
+            ends = q, q.copy(), q.copy()
+            done = [space.project(end) for space, end in zip(spaces, ends, strict=True)]
+            np.testing.assert_allclose(ends[1:], ends[:1] * 2, atol=1e-9)
+            assert done[0] == done[1] == done[2]
+        assert spaces[0].counters == spaces[1].counters
 
 
 def test_what_a_constraint_raises_reaches_the_caller(panda):
