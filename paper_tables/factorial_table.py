@@ -44,7 +44,7 @@ CONTRASTED: Mapping[str, Value] = {
     "G": VALUES["g_sampled"],
 }
 FACTORIAL_COLUMNS: Mapping[str, Column] = {
-    "solved": Column("solved %", "%", share_of(solved)),
+    "solved": Column("solved %", "%", share_of(solved), best="most"),
     **{
         f"{name}_ratio": Column(name, "1", ratio_to(REFERENCE, value))
         for name, value in CONTRASTED.items()
@@ -182,13 +182,12 @@ def factorial_table(rows: Iterable[ResultRow], published: Sequence[PublishedValu
         compared_lines.append([item.planner, pairs, *map(item.cell, CONTRASTED)])
     notes = [*FACTORIAL_NOTES, *table.seed_notes(runs)]
     suite, size = runs.rows[0].suite, f"{len({row.problem for row in runs.rows})} problems"
-    caption = f"{size}: products of choices of a learned sampler. {FACTORIAL_NOTES[0]}"
     return SuiteTable(
         suite,
         size,
         [*found, *contrasts],
         {"Products": lines, "Contrasts": compared_lines, **table.counted(found), "Notes": notes},
-        table.latex_groups(caption, suite, lines),
+        partial(table.latex_groups, lines=lines),
     )
 
 

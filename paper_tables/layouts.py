@@ -25,6 +25,7 @@ from cvqmpt_lab.paper_tables.statements import PublishedValue
 from cvqmpt_lab.paper_tables.table_engine import Column, Entry, SuiteTable
 from cvqmpt_lab.paper_tables.writers import Lines, Sections, number, rounded
 from cvqmpt_lab.results.row import FailReason, ResultRow, split_problem
+from cvqmpt_lab.results.statistics import Interval
 from cvqmpt_lab.vqmpt.config import BY_ROLLOUTS, ROLLOUTS_ALONE
 
 # ---------------------------------------------------------------- like the paper's Table I
@@ -45,7 +46,7 @@ def split_metric(ratio: str, part: str) -> str:
 
 
 HEADLINE_COLUMNS = {
-    "accuracy": Column("Accuracy", "%", share_of(solved), "accuracy"),
+    "accuracy": Column("Accuracy", "%", share_of(solved), "accuracy", best="most"),
     "time_median": Column("Time", "s", median_of("time")),
     "time_mean": Column("Time", "s", mean_of("time"), "time"),
     "vertices_median": Column("Vertices", "1", median_of("vertices", "solved")),
@@ -69,7 +70,9 @@ EFFORT_COLUMNS = {
     "known_time_median": Column("time, scene known [s]", "s", median_of("known_time")),
     "new_time_median": Column("time, scene new [s]", "s", median_of("new_time")),
     "time_ratio": Column(f"time / {BASELINE}", "1", ratio_to(BASELINE, VALUES["time"])),
-    "fallbacks": Column("by fallback [%]", "%", share_of(lambda row: row.fallback is not None)),
+    "fallbacks": Column(
+        "by fallback [%]", "%", share_of(lambda row: row.fallback is not None), best="none"
+    ),
 }
 GROWN_COLUMNS = {  # only for rows with numbers of extensions
     "extensions_median": Column("extension ends", "1", median_of("extensions", "solved")),
@@ -85,7 +88,7 @@ GROWN_COLUMNS = {  # only for rows with numbers of extensions
 }
 ROLLOUT_COLUMNS = {  # only for planners that connect states of rollouts
     "rollouts_alone": Column(
-        "by rollouts alone [%]", "%", share_of(partial(_detail_begins, ROLLOUTS_ALONE))
+        "by rollouts alone [%]", "%", share_of(partial(_detail_begins, ROLLOUTS_ALONE)), best="none"
     )
 }
 PAPER_COST_COLUMNS = {
@@ -103,7 +106,7 @@ SPLIT_COLUMNS = {
     for part in SPLIT_PARTS
 }
 CURVE_COLUMNS = {
-    f"solved_within_{time:g}_s": Column(f"{time:g} s", "%", solved_within(time))
+    f"solved_within_{time:g}_s": Column(f"{time:g} s", "%", solved_within(time), best="most")
     for time in CURVE_TIMES
 }
 PLACE_COLUMNS: Mapping[str, Column] = {
@@ -167,12 +170,15 @@ GROWN_NOTE = (
     "trees extend towards them."
 )
 SENSED_COLUMNS: Mapping[str, Column] = {  # only for scanned scenes
-    "certified_in_map": Column("certified in the map [%]", "%", share_of(solved)),
+    "certified_in_map": Column("certified in the map [%]", "%", share_of(solved), best="most"),
     "free_in_truth": Column(
-        "of these free in truth [%]", "%", share_of(lambda row: row.true_free is True, solved)
+        "of these free in truth [%]",
+        "%",
+        share_of(lambda row: row.true_free is True, solved),
+        best="most",
     ),
     "true_clearance_median": Column(
-        "clearance in truth [m]", "m", median_of("true_clearance", "stated")
+        "clearance in truth [m]", "m", median_of("true_clearance", "stated"), best="most"
     ),
     "sense_median": Column("images to map [s]", "s", median_of("sense_time", "stated")),
     "whole_median": Column("images to certificate [s]", "s", median_of("whole_time", "stated")),
@@ -242,34 +248,37 @@ def place_table(
         ),
         "Notes on scanned scenes": SENSED_NOTES if sensed else [],
     }
-    caption = f"{suite}, {problems} problems: the paper's values and ours. "
-    caption += " ".join((*METHOD_NOTES[:4], *footnotes[len(METHOD_NOTES) :]))
     return SuiteTable(
         suite,
         f"{problems} {'scenes' if sensed else 'problems'}",
         found,
         sections,
-        table.latex_planners(caption, suite, found, PLACE_HEADLINES),
+        partial(table.latex_planners, found=found, metrics=PLACE_HEADLINES),
     )
 
 
 def _first_lines(found: Sequence[Entry], columns: Mapping[str, str]) -> Lines:
     """Return lines of estimates, and of the work relative to uniform samples."""
     ratio = split_metric("work_ratio", "all")
-    lines = [["planner", *columns, f"work / {REFERENCE}"]]
-    for item in found:
-        estimates = [number(item.measured[name].estimate) for name in columns.values()]
-        against = "–" if item.planner == REFERENCE else item.cell(ratio)
-        lines.append([item.planner, *estimates, against])
-    return lines
+    cells = [table.cells_of(found, name, _estimate) for name in columns.values()]
+    planners = [item.planner for item in found]
+    ratios = zip(planners, table.cells_of(found, ratio), strict=True)
+    against = ["–" if planner == REFERENCE else cell for planner, cell in ratios]
+    head = ["planner", *columns, f"work / {REFERENCE}"]
+    return [head, *map(list, zip(planners, *cells, against, strict=True))]
+
+
+def _estimate(interval: Interval) -> str:
+    """Return the number alone."""
+    return number(interval.estimate)
 
 
 def _paper_lines(found: Sequence[Entry], metric: str, ours: Mapping[str, str]) -> Lines:
     """Return lines of the paper's number of a metric, and of our medians and means."""
-    lines = [["planner", "paper", *ours]]
-    for item in found:
-        lines.append([item.title, item.paper_cell(metric), *map(item.cell, ours.values())])
-    return lines
+    own = [table.cells_of(found, name) for name in ours.values()]
+    paper = [[item.title, item.paper_cell(metric)] for item in found]
+    lines = [[*named, *cells] for named, *cells in zip(paper, *own, strict=True)]
+    return [["planner", "paper", *ours], *lines]
 
 
 def _split_lines(found: Sequence[Entry], runs: SuiteRuns) -> Lines:
@@ -312,9 +321,9 @@ def _undecided(row: ResultRow) -> bool:
 
 
 GROUP_COLUMNS: Mapping[str, Column] = {
-    "solved": Column("solved [%]", "%", share_of(solved)),
-    "solved_within_1_s": Column("in 1 s [%]", "%", solved_within(1.0)),
-    "solved_within_2_s": Column("in 2 s [%]", "%", solved_within(2.0)),
+    "solved": Column("solved [%]", "%", share_of(solved), best="most"),
+    "solved_within_1_s": Column("in 1 s [%]", "%", solved_within(1.0), best="most"),
+    "solved_within_2_s": Column("in 2 s [%]", "%", solved_within(2.0), best="most"),
     "time_median": Column("time [s]", "s", median_of("time")),
     "work_median": Column("work", "1", median_of("work")),
     **{
@@ -322,17 +331,23 @@ GROUP_COLUMNS: Mapping[str, Column] = {
         for name in ("work_ratio", "own_time_ratio", "length_ratio")
     },
     # columns for executions in simulation
-    "executed": Column("executed", "1", number_of(solved), cell=THREE_DIGITS),
-    "undecided": Column("undecided", "1", number_of(_undecided), cell=THREE_DIGITS),
+    "executed": Column("executed", "1", number_of(solved), cell=THREE_DIGITS, best="none"),
+    "undecided": Column("undecided", "1", number_of(_undecided), cell=THREE_DIGITS, best="none"),
     "off_path_median": Column(
-        "off path [mm]", "mm", median_of("off_path_mm", "stated"), cell=TWO_DIGITS
+        "off path [mm]", "mm", median_of("off_path_mm", "stated"), cell=TWO_DIGITS, best="none"
     ),
-    "off_path_most": Column("most [mm]", "mm", most_of("off_path_mm"), cell=TWO_DIGITS),
-    "tilt_most": Column("tilt [rad]", "rad", most_of("tilt_rad"), cell=THREE_DIGITS),
-    "with_contacts": Column("contacts", "1", number_of(VALUES["contacts"]), cell=THREE_DIGITS),
-    "saturated_most": Column("at limits [ms]", "ms", most_of("saturated_ms"), cell=THREE_DIGITS),
-    "drift_most": Column("drift [mm]", "mm", most_of("drift_mm"), cell=TWO_DIGITS),
-    "placed": Column("placed", "1", number_of(VALUES["placed"]), cell=THREE_DIGITS),
+    "off_path_most": Column(
+        "most [mm]", "mm", most_of("off_path_mm"), cell=TWO_DIGITS, best="none"
+    ),
+    "tilt_most": Column("tilt [rad]", "rad", most_of("tilt_rad"), cell=THREE_DIGITS, best="none"),
+    "with_contacts": Column(
+        "contacts", "1", number_of(VALUES["contacts"]), cell=THREE_DIGITS, best="none"
+    ),
+    "saturated_most": Column(
+        "at limits [ms]", "ms", most_of("saturated_ms"), cell=THREE_DIGITS, best="none"
+    ),
+    "drift_most": Column("drift [mm]", "mm", most_of("drift_mm"), cell=TWO_DIGITS, best="none"),
+    "placed": Column("placed", "1", number_of(VALUES["placed"]), cell=THREE_DIGITS, best="none"),
 }
 RATIO_COLUMNS = ("solved", "work_ratio", "own_time_ratio", "length_ratio")
 COLUMN_NOTES = {  # texts that replace {NAME} in notes
@@ -396,13 +411,15 @@ def group_table(
         size,
         found,
         {f"By {what}": lines, **others, **together, "Notes": notes},
-        table.latex_groups(f"{size}. {notes[1]}", suite, lines),
+        partial(table.latex_groups, lines=lines),
     )
 
 
 PEER_COLUMNS: Mapping[str, Column] = {
-    "found": Column("path found [%]", "%", share_of(lambda row: row.certified is not None)),
-    "certified": Column("certified [%]", "%", share_of(solved)),
+    "found": Column(
+        "path found [%]", "%", share_of(lambda row: row.certified is not None), best="most"
+    ),
+    "certified": Column("certified [%]", "%", share_of(solved), best="most"),
     "wall_median": Column("time [s]", "s", median_of("wall_time")),
     "wall_ratio": Column(f"time / {REFERENCE}", "1", ratio_to(REFERENCE, VALUES["wall_time"])),
     "path_length_median": Column("length [rad]", "rad", median_of("path_length", "solved")),
@@ -444,7 +461,5 @@ def peer_table(
         "Failures": table.count_lines(found, table.failure),
         "Notes": [*all_notes, *made, *table.seed_notes(runs)],
     }
-    latex = table.latex_planners(
-        " ".join(all_notes), suite, found, {k: {"": k} for k in PEER_COLUMNS}
-    )
+    latex = partial(table.latex_planners, found=found, metrics={k: {"": k} for k in PEER_COLUMNS})
     return SuiteTable(suite, size, found, sections, latex)

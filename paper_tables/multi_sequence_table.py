@@ -6,6 +6,7 @@ the paper times.
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 from cvqmpt_lab.paper_tables import table_engine as table
 from cvqmpt_lab.paper_tables.measures import (
@@ -80,7 +81,7 @@ def time_metric(time: str, part: str, statistic: str) -> str:
 
 
 TASK_COLUMNS: Mapping[str, Column] = {
-    "solved": Column("Solved", "%", of_tasks(share_of(solved))),
+    "solved": Column("Solved", "%", of_tasks(share_of(solved)), best="most"),
     **{
         time_metric(time, part, name): Column(
             label,
@@ -102,7 +103,9 @@ def _median(label: str, value: str, unit: str = "s", interval: bool = False) -> 
 
 
 PHASE_COLUMNS: Mapping[str, Column] = {
-    "solved": Column("solved [%]", "%", share_of(solved), cell=lambda ours: number(ours.estimate)),
+    "solved": Column(
+        "solved [%]", "%", share_of(solved), cell=lambda ours: number(ours.estimate), best="most"
+    ),
     "goals": _median("goals", "goals_time"),
     "networks": _median("networks", "network_time"),
     "search": _median("search", "search_time"),
@@ -187,8 +190,7 @@ def task_table(rows: Iterable[ResultRow], published: Sequence[PublishedValue]) -
             *table.published_notes(runs, published),
         ],
     }
-    caption = f"Multi-sequence task, {size}, {TASK_PARTS['paper']}. {TASK_NOTES[2]} {TASK_NOTES[3]}"
-    latex = table.latex_planners(caption, suite, tasks, TASK_HEADLINES)
+    latex = partial(table.latex_planners, found=tasks, metrics=TASK_HEADLINES)
     return SuiteTable(suite, size, found, sections, latex)
 
 
@@ -199,9 +201,11 @@ def _time_lines(found: Sequence[Entry], part: str) -> Lines:
     for label in TIMES.values():
         paper = [f"{label} [s]: paper", "ours, mean"]
         lines[0] += [*(paper if ours else [f"{label} [s]: mean"]), "median"]
-    for item in found:
-        lines.append([item.title, str(item.n_runs), item.cell("solved")])
-        for time in TIMES:
-            lines[-1] += [item.paper_cell(time)] if ours else []
-            lines[-1] += [item.cell(time_metric(time, part, name)) for name in TASK_STATISTICS]
+    columns = [table.cells_of(found, "solved")]
+    for time in TIMES:
+        columns += [[item.paper_cell(time) for item in found]] if ours else []
+        names = [time_metric(time, part, name) for name in TASK_STATISTICS]
+        columns += [table.cells_of(found, name) for name in names]
+    for item, *cells in zip(found, *columns, strict=True):
+        lines.append([item.title, str(item.n_runs), *cells])
     return lines

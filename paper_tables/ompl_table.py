@@ -6,6 +6,7 @@ are those of the rule in docs/judgement.md: arithmetic means over problems with 
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from functools import partial
 
 from cvqmpt_lab.paper_tables import table_engine as table
 from cvqmpt_lab.paper_tables.measures import (
@@ -81,7 +82,7 @@ def _ratios(label: str, value: str, cutoff: float | None = None) -> dict[str, Co
 
 
 COST_COLUMNS = {
-    "accuracy": Column("solved [%]", "%", share_of(solved), "accuracy"),
+    "accuracy": Column("solved [%]", "%", share_of(solved), "accuracy", best="most"),
     "search_cost_mean": Column("cost [s]", "s", mean_cost("search_cost"), "time"),
     **_ratios("cost", "search_cost", PAPER_CUTOFF_S),
 }
@@ -101,7 +102,7 @@ COUNT_COLUMNS = {
     "stored_vertices_mean": Column(
         "vertices", "1", mean_of("stored_vertices", "solved"), "vertices"
     ),
-    "goals_tried_mean": Column("goals tried", "1", mean_of("goals_tried", "stated")),
+    "goals_tried_mean": Column("goals tried", "1", mean_of("goals_tried", "stated"), best="none"),
     "state_checks_median": Column("state checks", "1", median_of("state_checks")),
     "projections_median": Column("projections", "1", median_of("projections")),
     "newton_iterations_median": Column("Newton steps", "1", median_of("newton_iterations")),
@@ -160,7 +161,9 @@ def ompl_table(rows: Iterable[ResultRow], published: Sequence[PublishedValue] = 
             "Notes": [*NOTES, *table.seed_notes(runs)],
             "Notes on the paper's numbers": table.published_notes(runs, published),
         },
-        table.latex_planners(
-            " ".join(NOTES[:3]), suite, found, {k: {"here": v} for k, v in metrics.items()}
+        partial(
+            table.latex_planners,
+            found=found,
+            metrics={k: {"here": v} for k, v in metrics.items()},
         ),
     )

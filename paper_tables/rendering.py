@@ -54,10 +54,12 @@ def rendered_tables(directory: Path) -> Rendered:
     rows = directory_rows(directory)
     record = ProvenanceFile(directory).read()
     made, head = table_of(rows), _head(record, len(rows))
-    title = title_of(made.suite)
+    title, label = title_of(made.suite), directory.resolve().name
+    notes = [str(line) for line in made.sections.get("Notes", ())]
+    caption = f"{title}, {made.size}. In brackets: 95 % intervals. Bold: the best value."
     texts = {
         "table.md": f"# {markdown_text(title)}\n\n{markdown_text(head)}\n\n{made.markdown}",
-        "table.tex": f"% {head}\n{made.latex}",
+        "table.tex": "".join(f"% {line}\n" for line in (head, *notes)) + made.latex(caption, label),
         "table.csv": made.csv,
     }
     return Rendered(texts, [f"{title}: {made.size}, {_cutoffs(record)}", *made.brief])

@@ -1,9 +1,11 @@
 """Tables of suites beside the paper's numbers: Markdown, LaTeX, csv and lines for a terminal."""
 
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
-from operator import itemgetter
+from operator import attrgetter, itemgetter
+from typing import Literal
 
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.base.files import csv_table
@@ -18,8 +20,10 @@ from cvqmpt_lab.paper_tables.measures import (
 )
 from cvqmpt_lab.paper_tables.statements import PublishedValue
 from cvqmpt_lab.paper_tables.writers import (
+    MOST_COLUMNS,
     Lines,
     Sections,
+    bold,
     bounds,
     estimate,
     latex_table,
@@ -39,6 +43,7 @@ class Column:
     measure: Measure
     published: str | None = None  # name of the same metric in the paper, which gives means
     cell: Callable[[Interval], str] = estimate
+    best: Literal["least", "most", "none"] = "least"  # which value is the best one of a table
 
 
 @dataclass(frozen=True)
@@ -85,7 +90,7 @@ class SuiteTable:
     size: str  # size of the suite, e.g. "20 problems"
     found: Sequence[Entry]  # in the order of the csv
     sections: Sections
-    latex: str
+    latex: Callable[[str, str], str]  # text of LaTeX from a caption and a label
 
     @property
     def brief(self) -> list[str]:
@@ -229,11 +234,39 @@ def seed_notes(runs: SuiteRuns) -> Iterable[str]:
 # ---------------------------------------------------------------- from numbers to lines
 
 
+def cells_of(
+    found: Sequence[Entry], name: str, cell: Callable[[Interval], str] | None = None
+) -> list[str]:
+    """Return the cells of a column, with the best value bold if less than half have it.
+
+    A ratio to a planner is the best one only if it is better than that planner, below 1.
+
+    Args:
+        found: entries of planners that are compared.
+        name: name of the column.
+        cell: how a cell is written; None: as its column says.
+    """
+    column = found[0].columns[name]
+    cells = [(cell or column.cell)(item.measured[name]) for item in found]
+    numbers = [item.measured[name].estimate for item in found]
+    known = [x for x in numbers if x is not None and math.isfinite(x)]
+    if not known or column.best == "none":
+        return cells
+    best = min(known) if column.best == "least" else max(known)
+    values = [text.partition(" ")[0] for text in cells]
+    winners = [value == values[numbers.index(best)] for value in values]
+    if 2 * sum(winners) > len(known) or (" / " in column.label and best >= 1.0):
+        return cells
+    return [bold(text) if won else text for text, won in zip(cells, winners, strict=True)]
+
+
 def column_lines(found: Sequence[Entry], names: Iterable[str]) -> Lines:
     """Return a line for each planner with some of its columns."""
     names = list(names)
     labels = [found[0].columns[name].label for name in names]
-    return [["planner", *labels], *([item.planner, *map(item.cell, names)] for item in found)]
+    planners = [item.planner for item in found]
+    columns = [cells_of(found, name) for name in names]
+    return [["planner", *labels], *map(list, zip(planners, *columns, strict=True))]
 
 
 def group_lines(found: Sequence[Entry], head: Sequence[str], count: str = "problems") -> Lines:
@@ -245,10 +278,12 @@ def group_lines(found: Sequence[Entry], head: Sequence[str], count: str = "probl
         count: title of the number of problems.
     """
     lines = [[*head, "planner", count, *(column.label for column in found[0].columns.values())]]
-    for item in found:
-        if item.rows:
-            count_cell = str(len({row.problem for row in item.rows}))
-            lines.append([*item.group, item.planner, count_cell, *map(item.cell, item.columns)])
+    for group, members in groupby((item for item in found if item.rows), attrgetter("group")):
+        same = list(members)
+        columns = zip(*(cells_of(same, name) for name in same[0].columns), strict=True)
+        for item, cells in zip(same, columns, strict=True):
+            problems = str(len({row.problem for row in item.rows}))
+            lines.append([*group, item.planner, problems, *cells])
     return lines
 
 
@@ -292,38 +327,55 @@ def count_lines(
 
 
 def latex_planners(
-    caption: str, suite: str, found: Sequence[Entry], metrics: Mapping[str, Mapping[str, str]]
+    caption: str, label: str, found: Sequence[Entry], metrics: Mapping[str, Mapping[str, str]]
 ) -> str:
     """Return LaTeX in the paper's layout, with planners as columns.
 
     Args:
         caption: caption of the table.
-        suite: label of the table.
+        label: label of the table.
         found: entries of the planners.
         metrics: the paper's metrics, each with our columns by title.
     """
-    paper = ["", "", *(item.paper_name or item.planner for item in found)]
-    names = [paper, ["", "", *(item.planner if item.paper_name else "" for item in found)]]
-    return latex_table(
-        caption, suite, [names, *(_latex_block(found, *item) for item in metrics.items())]
-    )
+    parts = []
+    for first in range(0, len(found), MOST_COLUMNS):
+        shown = range(first, min(first + MOST_COLUMNS, len(found)))
+        names = [["", "", *(found[k].paper_name or found[k].planner for k in shown)]]
+        if any(found[k].paper_name for k in shown):
+            own = (found[k].planner if found[k].paper_name else "" for k in shown)
+            names.append(["", "", *own])
+        parts.append([names, *(_latex_block(found, shown, *item) for item in metrics.items())])
+    return latex_table(caption, label, parts)
 
 
-def _latex_block(found: Sequence[Entry], published: str, ours: Mapping[str, str]) -> Lines:
-    """Return lines of a metric: the paper's, then estimate and interval of each of our columns."""
+def _latex_block(
+    found: Sequence[Entry], shown: Sequence[int], published: str, ours: Mapping[str, str]
+) -> Lines:
+    """Return lines of a metric: the paper's, then estimate and interval of each of our columns.
+
+    Args:
+        found: entries of all planners, of which the best is bold.
+        shown: places of those in this table.
+        published: the paper's metric.
+        ours: our columns by title.
+    """
     column = found[0].columns[next(iter(ours.values()))]
-    label = column.label if column.unit == "1" else f"{column.label} ({column.unit})"
-    lines = [[label, "paper", *(item.paper_cell(published) for item in found)]]
+    with_unit = column.unit == "1" or f"[{column.unit}]" in column.label
+    lines = [["paper", *(found[k].paper_cell(published) for k in shown)]]
+    if all(cell == "–" for cell in lines[0][1:]):
+        lines = []
     for title, name in ours.items():
-        intervals = [item.measured[name] for item in found]
-        lines.append(["", title, *(number(interval.estimate) for interval in intervals)])
-        lines.append(["", "", *map(bounds, intervals)])
-    return lines
+        estimates = cells_of(found, name, lambda interval: number(interval.estimate))
+        lines.append([title, *(estimates[k] for k in shown)])
+        lines.append(["", *(bounds(found[k].measured[name]) for k in shown)])
+    label = column.label if with_unit else f"{column.label} ({column.unit})"
+    return [[label if k == 0 else "", *line] for k, line in enumerate(lines)]
 
 
-def latex_groups(caption: str, suite: str, lines: Lines) -> str:
+def latex_groups(caption: str, label: str, lines: Lines) -> str:
     """Return LaTeX of `group_lines` with a rule between groups."""
-    header, *rest = lines
-    return latex_table(
-        caption, suite, [[header], *(list(part) for _, part in groupby(rest, itemgetter(0)))]
-    )
+    parts = []
+    for first in range(2, len(lines[0]), MOST_COLUMNS):
+        header, *rest = ([*line[:2], *line[first : first + MOST_COLUMNS]] for line in lines)
+        parts.append([[header], *(list(part) for _, part in groupby(rest, itemgetter(0)))])
+    return latex_table(caption, label, parts)

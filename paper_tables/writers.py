@@ -15,6 +15,7 @@ _LATEX_ESCAPES = {
 }
 _LATEX_ESCAPES |= {character: f"\\{character}" for character in "&%$#_{}"}
 PAGE_WIDTH = 100  # characters of a line of Markdown
+BOLD = re.compile(r"\*\*(.+?)\*\*")
 MOST_COLUMNS = 5  # of numbers side by side on a page of LaTeX
 
 Lines = Sequence[Sequence[str]]  # a table as lines of cells, the header first
@@ -23,8 +24,15 @@ Sections = Mapping[str, Lines | Sequence[str]]
 
 
 def latex(text: str) -> str:
-    """Return text with LaTeX's special characters escaped."""
-    return "".join(_LATEX_ESCAPES.get(character, character) for character in text)
+    """Return text with LaTeX's special characters escaped, and the part between ** bold."""
+    escaped = "".join(_LATEX_ESCAPES.get(character, character) for character in text)
+    return BOLD.sub(r"\\textbf{\1}", escaped)
+
+
+def bold(cell: str) -> str:
+    """Return a cell whose number, but not its interval, is marked as the best one."""
+    value, space, rest = cell.partition(" ")
+    return f"**{value}**{space}{rest}"
 
 
 def number(value: float | None) -> str:
@@ -71,7 +79,8 @@ def padded(lines: Lines) -> list[list[str]]:
 
 def text_lines(lines: Lines) -> list[str]:
     """A table for a terminal."""
-    return ["  ".join(line).rstrip() for line in padded(lines)]
+    plain = [[BOLD.sub(r"\1", cell) for cell in line] for line in lines]
+    return ["  ".join(line).rstrip() for line in padded(plain)]
 
 
 def markdown_text(text: str) -> str:
@@ -130,36 +139,36 @@ def narrow(lines: Lines) -> list[Lines]:
     return [[[*line[:labels], *(line[k] for k in part)] for line in lines] for part in parts]
 
 
-def latex_table(caption: str, label: str, blocks: Sequence[Lines]) -> str:
-    """A table over two columns (booktabs), two label columns first, with a rule between blocks.
+def latex_table(caption: str, label: str, parts: Sequence[Sequence[Lines]]) -> str:
+    """Tables over two columns (booktabs), two label columns first; the caption stands at the first.
 
-    More than MOST_COLUMNS columns of numbers continue in tables of their own.
+    Args:
+        caption: caption of the first table.
+        label: name of its label; the others have it with their number.
+        parts: tables, each as blocks of lines with a rule between them.
     """
     name, texts = "".join(c if c.isalnum() else "-" for c in label), []
-    for first in range(2, len(blocks[0][0]), MOST_COLUMNS):
-        part = slice(first, first + MOST_COLUMNS)
-        head = (
-            rf"\caption{{{latex(caption)}}}\label{{tab:{name}}}"
-            if first == 2
-            else r"\caption{Continued.}"
-        )
-        texts.append(
-            _latex_float(head, [[[*line[:2], *line[part]] for line in block] for block in blocks])
-        )
+    for number, blocks in enumerate(parts, start=1):
+        text = latex(caption) if number == 1 else "Continued."
+        place = f"tab:{name}" if number == 1 else f"tab:{name}-{number}"
+        texts.append(_latex_float(rf"\caption{{{text}}}\label{{{place}}}", blocks))
     return "".join(texts)
 
 
 def _latex_float(caption: str, blocks: Sequence[Lines]) -> str:
+    lines = [line for block in blocks for line in block]
+    labels = [k for k in range(2) if any(line[k] for line in lines)]  # without empty columns
+    numbers = range(2, len(lines[0]))
     body: list[str] = []
     for block in blocks:
         body += [r"\midrule"] if body else []
-        body += [" & ".join(map(latex, line)) + r" \\" for line in block]
+        body += [" & ".join(latex(line[k]) for k in (*labels, *numbers)) + r" \\" for line in block]
     return "\n".join(
         [
             r"\begin{table*}[t]",
             r"  \centering\scriptsize\setlength{\tabcolsep}{3pt}",
             f"  {caption}",
-            rf"  \begin{{tabular}}{{ll{'c' * (len(blocks[0][0]) - 2)}}}",
+            rf"  \begin{{tabular}}{{{'l' * len(labels)}{'c' * len(numbers)}}}",
             r"    \toprule",
             *(f"    {line}" for line in body),
             r"    \bottomrule",

@@ -103,8 +103,24 @@ def run(planner, problem, time=None, **values):
 def test_a_table_is_of_one_suite_and_names_are_escaped():
     for rows in ([], [run("birrt", 0, 1.0), run("birrt", 0, 1.0, suite="random")]):
         refused("one suite", place_table, rows, PAPER)
-    escaped = latex_table("", "x", [[["", "", "my_50%_#1"], ["time", "ours", "–∞"]]])
+    escaped = latex_table("", "x", [[[["", "", "my_50%_#1"], ["time", "ours", "–∞"]]]])
     assert r"my\_50\%\_\#1" in escaped and escaped.isascii()
+
+
+def test_tables_of_own_planners_have_no_paper_unique_labels_and_the_best_bold(tmp_path):
+    times = {f"mine{k}": 1.0 + k for k in range(6)}
+    made = [run(name, p, time + 0.1 * p) for name, time in times.items() for p in range(9)]
+    store(tmp_path / "runs_a", made)
+    texts = render_directory(tmp_path / "runs_a").texts
+    latex = texts["table.tex"].partition("\\begin")[2]
+    assert "paper" not in latex and re.findall(r"tab:[\w-]*", latex) == [
+        "tab:runs-a",
+        "tab:runs-a-2",
+    ]
+    assert latex.count(r"\textbf{1.40}") == 2, "median and mean of the fastest planner"
+    assert len(re.search(r"\\caption{(.*?)}\\label", latex)[1]) < 120
+    assert re.search(r"\| mine0 +\| 100 +\| \*\*1.40\*\*", texts["table.md"])
+    assert "**" not in "".join(render_directory(tmp_path / "runs_a").brief)
 
 
 def by_title(results):
@@ -339,6 +355,6 @@ def test_passages_are_grouped_by_kind_and_width_with_what_is_solved_in_a_time():
     assert found.size == "8 problems, 2 passages"
     head, *lines = found.sections["By passage"]
     assert head[:5] == ["passage", "planner", "problems", "solved [%]", "in 1 s [%]"]
-    cells = {tuple(line[:2]): [cell.split()[0] for cell in line[2:]] for line in lines}
+    cells = {tuple(line[:2]): [cell.split()[0].strip("*") for cell in line[2:]] for line in lines}
     assert cells["maze 5 cm", "cells"][:5] == ["4", "100", "25.0", "75.0", "1.55"]
     assert cells["maze 6 cm", "birrt"][:5] == ["4", "0", "0", "0", "∞"]
