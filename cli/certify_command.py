@@ -14,8 +14,9 @@ from cvqmpt_lab.base.codec import from_plain
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.base.files import read_json_object
 from cvqmpt_lab.base.values import Array, FloatArray
+from cvqmpt_lab.certificate.judge import judge
 from cvqmpt_lab.certificate.limit_use import Ends
-from cvqmpt_lab.certificate.motion_check import dry_run, speed_within_limits
+from cvqmpt_lab.certificate.motion_check import dry_run
 from cvqmpt_lab.certificate.record import record, report_lines
 from cvqmpt_lab.cli.options import FLAG, Options, log, numbers, option, positive, refuse_given
 from cvqmpt_lab.cli.problem_arguments import chosen_problem, robot_source
@@ -47,11 +48,9 @@ def run(args: argparse.Namespace) -> int:
             "that plan --trajectory wrote for a task, or one problem"
         )
     ends = _ends(args, motion, problem)
-    found = dry_run(problem, motion, args.current, args.tolerance, True, ends)
-    slower = None
-    if not found.certificate.valid and found.limits_alone:
-        slower = speed_within_limits(problem, motion, ends)
-    contents = record(problem, motion, found, slower)
+    judged = judge(motion, problem, ends=ends, exact_clearance=True)
+    found = judged.check
+    contents = record(problem, motion, found, judged.speed)
     lines = report_lines(found, contents)
     print(json.dumps(contents, indent=1, allow_nan=False) if args.json else "\n".join(lines))
     return 0 if found.certificate.valid else 1
@@ -74,7 +73,7 @@ def _ends(args: argparse.Namespace, motion: Motion, problem: PlanningProblem) ->
         raise InvalidInputError(
             "--part: a part of a motion begins where the arm is: give --current"
         )
-    return Ends(begin, end, args.part)
+    return Ends(args.current, args.tolerance, begin, end, args.part)
 
 
 def _certify_task(args: argparse.Namespace) -> int:

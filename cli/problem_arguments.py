@@ -154,12 +154,12 @@ def with_limits(
         problem = replace(problem, clearance=args.clearance)
     if args.tool_speed is None:
         return problem
-    is_task = isinstance(problem, Task)
     robot = robot_from_source(problem.robot) if isinstance(problem, Task) else problem.robot
-    limit = FrameLimit(*args.tool_speed)
-    limits = {**robot.frame_limits, **dict.fromkeys(robot.end_effectors, limit)}
-    limited = with_frame_limits(robot, limits)
-    return replace(problem, robot=limited.source if is_task else limited)
+    limits = dict.fromkeys(robot.end_effectors, FrameLimit(*args.tool_speed))
+    limited = with_frame_limits(robot, {**robot.frame_limits, **limits})
+    if isinstance(problem, Task):
+        return replace(problem, robot=limited.source)
+    return replace(problem, robot=limited)
 
 
 def budget(args: argparse.Namespace, cost: float | None = None) -> Budget:

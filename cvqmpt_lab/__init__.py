@@ -8,6 +8,7 @@ if TYPE_CHECKING:
     from cvqmpt_lab.base.poses import Placement, pose
     from cvqmpt_lab.benchmarks.suite import suite_named
     from cvqmpt_lab.certificate.certificate import certify
+    from cvqmpt_lab.certificate.judge import judge
     from cvqmpt_lab.certificate.motion_check import certified_motion
     from cvqmpt_lab.constraints.named import region
     from cvqmpt_lab.constraints.task_space_region import (
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
     from cvqmpt_lab.tasks.solve import solve_task
     from cvqmpt_lab.tasks.task import Task
     from cvqmpt_lab.trajectory.timing import TimingSettings, time_path
-    from cvqmpt_lab.trajectory.trajectory import save_trajectory
+    from cvqmpt_lab.trajectory.trajectory import JointState, Motion, read_motion, save_trajectory
     from cvqmpt_lab.vqmpt.codebook import dictionary_gaussians
     from cvqmpt_lab.vqmpt.weights import load_vq_mpt
 
@@ -48,8 +49,10 @@ __all__ = [
     "Cylinder",
     "GaussianMixture",
     "JointPath",
+    "JointState",
     "Margin",
     "Method",
+    "Motion",
     "OccupancyMap",
     "Placement",
     "PlanningProblem",
@@ -68,12 +71,14 @@ __all__ = [
     "draw",
     "execute_motion",
     "film_solution",
+    "judge",
     "load_robot",
     "load_vq_mpt",
     "planner_named",
     "pose",
     "read_cloud",
     "read_mesh",
+    "read_motion",
     "read_scene",
     "region",
     "robot_from_source",
@@ -92,6 +97,7 @@ _NAMES: dict[str, tuple[str, ...]] = {
     "base.poses": ("Placement", "pose"),
     "benchmarks.suite": ("suite_named",),
     "certificate.certificate": ("certify",),
+    "certificate.judge": ("judge",),
     "certificate.motion_check": ("certified_motion",),
     "constraints.named": ("region",),
     "constraints.task_space_region": (
@@ -118,7 +124,7 @@ _NAMES: dict[str, tuple[str, ...]] = {
     "tasks.solve": ("solve_task",),
     "tasks.task": ("Task",),
     "trajectory.timing": ("TimingSettings", "time_path"),
-    "trajectory.trajectory": ("save_trajectory",),
+    "trajectory.trajectory": ("JointState", "Motion", "read_motion", "save_trajectory"),
     "vqmpt.codebook": ("dictionary_gaussians",),
     "vqmpt.weights": ("load_vq_mpt",),
 }

@@ -123,7 +123,7 @@ def test_the_first_plan_of_an_own_robot_runs(capsys):
     example = python_of("docs/your_own.md")[0]
     assert len(ast.parse(example).body) <= 7  # an import, five lines, and what is printed
     exec(compile(example, "your_own.md", "exec"), {})
-    assert capsys.readouterr().out.endswith("valid\n")
+    assert capsys.readouterr().out.endswith("certified\n")
 
 
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)

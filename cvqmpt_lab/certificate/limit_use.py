@@ -80,6 +80,9 @@ class LimitUse(NamedTuple):
 class Ends(NamedTuple):
     """The begin and end of a motion; the default is at rest, at the start and at a goal."""
 
+    # (n,), present configuration of the arm [rad or m]; None: it is not checked
+    current: np.ndarray | None = None
+    tolerance: float = 0.01  # largest difference of `current` from the begin [rad or m]
     start_velocity: np.ndarray | None = None  # (n,) [rad/s or m/s]; None: at rest
     end_velocity: np.ndarray | None = None  # (n,); None: at rest, or any of a part of a motion
     # a part of a longer motion, such as a chunk of a policy: it begins at the current state, and

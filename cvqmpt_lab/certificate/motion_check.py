@@ -92,20 +92,16 @@ def trajectory_faults(problem: PlanningProblem, motion: Trajectory) -> Sequence[
 def dry_run(
     problem: PlanningProblem,
     motion: Motion,
-    current: np.ndarray | None = None,
-    tolerance: float = 0.01,
-    exact_clearance: bool = False,
     ends: Ends | None = None,
+    exact_clearance: bool = False,
 ) -> DryRun:
     """Check a path or trajectory before it is sent to an arm.
 
     Args:
         problem: start, goals, constraint, robot and scene.
         motion: the path or trajectory.
-        current: (n,), present configuration of the arm [rad or m]; None: it is not checked.
-        tolerance: largest difference of `current` from the begin of the motion [rad or m].
+        ends: begin and end of the motion; None: at rest, at the start and at a goal.
         exact_clearance: as in `certify`.
-        ends: velocities at both ends; None: at rest.
 
     Raises InvalidInputError for joints of another robot, and for times that do not increase.
     """
@@ -114,8 +110,8 @@ def dry_run(
     states, robot = motion.positions, problem.robot
     usable = states.ndim == 2 and states.shape[1] == robot.dof and np.isfinite(states).all()
     faults = (
-        _start_fault(problem, states[0], current, tolerance)
-        if current is not None and usable
+        _start_fault(problem, states[0], ends.current, ends.tolerance)
+        if ends.current is not None and usable
         else []
     )
     if motion.times is None or not usable:
@@ -127,7 +123,7 @@ def dry_run(
         * float(np.abs(robot.kinematics.multiplier).sum())
         * CURVE_TOLERANCE
     )
-    curves, gap = curves_of(motion, ends.start_velocity, ends.end_velocity)
+    curves, gap = curves_of(motion, ends.start_velocity, ends.end_velocity, ends.part)
     together = gap <= 0.5 * CURVE_TOLERANCE
     runs: list[DryRun] = []
     for name, curve in curves.items():
@@ -163,7 +159,9 @@ def speed_within_limits(
 
     def kept(percent: int) -> bool:
         slowed = motion.at_speed(0.01 * percent)
-        for name, curve in curves_of(slowed, ends.start_velocity, ends.end_velocity)[0].items():
+        for name, curve in curves_of(slowed, ends.start_velocity, ends.end_velocity, ends.part)[
+            0
+        ].items():
             uses, missing = _uses(problem, slowed, name, curve)
             faults = [*missing, *rest_faults(name, curve, limits, 0.0, ends)]
             if faults or any(use.exceeded for use in uses):

@@ -25,6 +25,7 @@ def curves_of(
     motion: Motion,
     start_velocity: np.ndarray | None = None,
     end_velocity: np.ndarray | None = None,
+    part: bool = False,
 ) -> tuple[dict[str, PPoly], float]:
     """Return the curves of a motion with times by name, and their largest distance.
 
@@ -36,6 +37,7 @@ def curves_of(
         motion: positions (m, n), times, perhaps velocities and accelerations.
         start_velocity: (n,) of a spline through positions alone [rad/s or m/s]; None: 0.
         end_velocity: the same at its end.
+        part: whether an end without a velocity may have any.
     """
     assert motion.times is not None
     q, v, a = motion.positions, motion.velocities, motion.accelerations
@@ -50,10 +52,11 @@ def curves_of(
 
     times = motion.times - motion.times[0]
     if v is None:
-        # at an end whose velocity is not given, joints rest
         still = np.zeros(q.shape[1])
         first, last = (still if v is None else v for v in (start_velocity, end_velocity))
-        spline = CubicSpline(times, q, bc_type=((1, first), (1, last)))
+        # at an end with any velocity, the second derivative is 0: a natural spline
+        end = (2, still) if part and end_velocity is None else (1, last)
+        spline = CubicSpline(times, q, bc_type=((1, first), end))
         slopes = np.diff(q, axis=0) / np.diff(times)[:, None]
         lines = PPoly(np.array([slopes, q[:-1]]), times)
         return {"spline": PPoly(spline.c, times), "linear": lines}, np.inf

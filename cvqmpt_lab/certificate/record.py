@@ -149,7 +149,7 @@ def report_lines(found: DryRun, contents: dict[str, Any]) -> list[str]:
     for fault in certificate.faults:
         where = "" if fault.at is None else f", {_where(found, fault.at)}"
         lines.append(f"fault       {fault.text}{where}")
-    if contents["limits_hold_at_speed"]:
+    if not certificate.valid and contents["limits_hold_at_speed"]:
         slower = contents["limits_hold_at_speed"]
         lines.append(f"slower      at {slower:.2f} of this speed every limit holds")
     lines += [

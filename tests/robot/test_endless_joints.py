@@ -7,6 +7,7 @@ import pytest
 from refusals import refused
 
 from cvqmpt_lab.certificate.certificate import FaultKind, certify
+from cvqmpt_lab.certificate.limit_use import Ends
 from cvqmpt_lab.certificate.motion_check import dry_run
 from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.problem import PlanningProblem
@@ -53,8 +54,8 @@ def test_a_path_to_another_turn_of_a_goal_is_certified(arm):
     assert certify(other, JointPath(short)).valid
     motion = Motion(arm.joint_names, short)
     current = problem.start + [0.0, 0.0, 0.0, 4.0 * np.pi]
-    assert dry_run(problem, motion, current).certificate.valid
-    assert not dry_run(problem, motion, current + 0.1).certificate.valid
+    assert dry_run(problem, motion, Ends(current)).certificate.valid
+    assert not dry_run(problem, motion, Ends(current + 0.1)).certificate.valid
 
 
 def test_where_the_way_to_the_nearest_turn_is_blocked_another_turn_is_taken(arm):

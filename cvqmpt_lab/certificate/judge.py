@@ -1,0 +1,65 @@
+"""Judgement of a motion that somebody else made: whole, or in parts as a policy sends them."""
+
+from typing import NamedTuple
+
+from cvqmpt_lab.certificate.certificate import Fault
+from cvqmpt_lab.certificate.limit_use import Ends
+from cvqmpt_lab.certificate.motion_check import DryRun, dry_run, speed_within_limits
+from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.trajectory.trajectory import JointState, Motion
+
+
+class Judgement(NamedTuple):
+    """The check of a motion, and the speed that would keep every limit."""
+
+    check: DryRun  # certificate, and the share of every limit that is used
+    # factor on the motion's speed at which every limit of rates and efforts holds: 1.0 of a
+    # certified motion; None where slowing alone is no cure
+    speed: float | None
+
+    @property
+    def certified(self) -> bool:
+        """Whether the motion is certified."""
+        return self.check.certificate.valid
+
+    @property
+    def first_fault(self) -> Fault | None:
+        """The fault that comes first on the motion; None of a certified one."""
+        faults = self.check.certificate.faults
+        return min(faults, key=lambda fault: fault.at or 0.0, default=None)
+
+    @property
+    def clearance_m(self) -> float:
+        """Least proven distance from obstacles [m]; -inf without a proof, inf without obstacles."""
+        clearance = self.check.certificate.obstacle_clearance
+        return float("inf") if clearance is None else clearance.at_least_m
+
+
+def judge(
+    motion: Motion,
+    problem: PlanningProblem,
+    last: JointState | None = None,
+    ends: Ends | None = None,
+    exact_clearance: bool = False,
+) -> Judgement:
+    """Judge a path or trajectory: free, on the manifold, within limits, start and goal right.
+
+    Args:
+        motion: the motion, see `read_motion`.
+        problem: start, goals, constraint, robot and scene.
+        last: positions and velocities (n,) of the arm where a part of a longer motion begins, such
+            as a chunk of a policy; it need not end at a goal. None: the motion is whole.
+        ends: begin and end of the motion, instead of `last`; None: at rest, at the start and at a
+            goal.
+        exact_clearance: whether least distances are measured; this takes two to three times as
+            long. Else they are lower bounds.
+
+    Raises InvalidInputError for joints of another robot, and for times that do not increase.
+    """
+    if last is not None:
+        ends = Ends(last.positions, start_velocity=last.velocities, part=True)
+    found = dry_run(problem, motion, ends, exact_clearance)
+    speed = 1.0 if found.certificate.valid else None
+    if speed is None and found.limits_alone:
+        speed = speed_within_limits(problem, motion, ends)
+    return Judgement(found, speed)
