@@ -14,14 +14,18 @@ from cvqmpt_lab.base.codec import from_plain
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.base.files import read_json_object
 from cvqmpt_lab.base.values import Array, FloatArray
-from cvqmpt_lab.certificate.judge import judge
+from cvqmpt_lab.certificate.judge import Judgement, judge
 from cvqmpt_lab.certificate.limit_use import Ends
 from cvqmpt_lab.certificate.motion_check import dry_run
 from cvqmpt_lab.certificate.record import record, report_lines
 from cvqmpt_lab.cli.options import FLAG, Options, log, numbers, option, positive, refuse_given
-from cvqmpt_lab.cli.problem_arguments import chosen_problem, robot_source
+from cvqmpt_lab.cli.problem_arguments import chosen_problem, chosen_robot, robot_source
 from cvqmpt_lab.cli.problem_options import PROBLEM, ROBOT
 from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.robot.frame_speeds import with_frame_limits
+from cvqmpt_lab.robot.robot import FrameLimit
+from cvqmpt_lab.scene.scene import Scene
+from cvqmpt_lab.scene.scene_files import read_scene
 from cvqmpt_lab.tasks.task import Task
 from cvqmpt_lab.tasks.world import phase_problems
 from cvqmpt_lab.trajectory.trajectory import Motion, read_motion
@@ -41,6 +45,9 @@ def run(args: argparse.Namespace) -> int:
     why = "goes with the directory of a run; name one file: --problem-file"
     refuse_given(args, ["problems_dir"], why)
     motion = read_motion(args.path)
+    if args.request is not None:
+        return _told(args, motion, *_by_request(args, motion))
+    refuse_given(args, ["scene"], "goes with --request; a problem has its own scene")
     problem = chosen_problem(args)
     if not isinstance(problem, PlanningProblem):
         raise InvalidInputError(
@@ -48,12 +55,41 @@ def run(args: argparse.Namespace) -> int:
             "that plan --trajectory wrote for a task, or one problem"
         )
     ends = _ends(args, motion, problem)
-    judged = judge(motion, problem, ends=ends, exact_clearance=True)
-    found = judged.check
-    contents = record(problem, motion, found, judged.speed)
-    lines = report_lines(found, contents)
+    return _told(args, motion, problem, judge(motion, problem, ends=ends, exact_clearance=True))
+
+
+def _told(
+    args: argparse.Namespace, motion: Motion, problem: PlanningProblem, judged: Judgement
+) -> int:
+    """Print a judgement; return the exit code."""
+    contents = record(problem, motion, judged.check, judged.speed)
+    lines = report_lines(judged.check, contents)
     print(json.dumps(contents, indent=1, allow_nan=False) if args.json else "\n".join(lines))
-    return 0 if found.certificate.valid else 1
+    return 0 if judged.certified else 1
+
+
+def _by_request(args: argparse.Namespace, motion: Motion) -> tuple[PlanningProblem, Judgement]:
+    """Judge a motion by --request, among the obstacles of --scene."""
+    from cvqmpt_lab.certificate.motion_request import judge_request, read_request
+
+    if any((args.suite, args.problem_file, args.task_file)):
+        raise InvalidInputError("--request states start, goals and constraint; give no problem")
+    unused = ["current", "start_velocity", "end_velocity", "part", "clearance"]
+    refuse_given(args, unused, "does not go with --request, which states start and goals")
+    robot, scene = chosen_robot(args), Scene("no scene", ())
+    if args.tool_speed is not None:
+        limits = dict.fromkeys(robot.end_effectors, FrameLimit(*args.tool_speed))
+        robot = with_frame_limits(robot, {**robot.frame_limits, **limits})
+    request = read_request(args.request, robot)
+    if args.scene is None:
+        log("no --scene is given: the motion is compared with the robot itself alone")
+    elif args.scene.suffix == ".json":
+        scene = read_scene(args.scene)
+    else:
+        from cvqmpt_lab.scene.moveit_scenes import read_moveit_scene
+
+        scene, _ = read_moveit_scene(args.scene)
+    return judge_request(motion, request, robot, scene, exact=True)
 
 
 def _ends(args: argparse.Namespace, motion: Motion, problem: PlanningProblem) -> Ends:
@@ -189,6 +225,16 @@ OPTIONS: Options = {
         "the task of a folder of motions that plan --trajectory wrote", type=Path, metavar="T.json"
     ),
     "another robot for --problem-file": ROBOT,
+    "--request": option(
+        "MoveIt's MotionPlanRequest or Constraints instead of a problem, for --robot or --urdf",
+        type=Path,
+        metavar="R.yaml|json",
+    ),
+    "--scene": option(
+        "obstacles for --request: a scene, or a PlanningScene of MoveIt",
+        type=Path,
+        metavar="S.json|yaml|scene",
+    ),
     "--problems-dir": option(
         "folder of the problem files, for the directory of a run of them", type=Path, metavar="DIR"
     ),

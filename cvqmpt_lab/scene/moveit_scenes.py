@@ -80,7 +80,7 @@ def _scene(
         raise InvalidInputError("it has no 'collision_objects', neither in 'world' nor at the top")
     _refuse_other_content(whole, world)
     objects, frames = list[SceneObject](), list[str]()
-    for k, item in enumerate(_listed(world["collision_objects"], "collision_objects")):
+    for k, item in enumerate(listed(world["collision_objects"], "collision_objects")):
         fields = mapping(
             item, f"collision_objects[{k}]", "id, primitives, primitive_poses, meshes, mesh_poses"
         )
@@ -90,7 +90,7 @@ def _scene(
         names = [of] if len(pieces) == 1 else [f"{of}/{piece}" for piece in range(len(pieces))]
         placed = zip(names, pieces, strict=True)
         objects += [SceneObject(name, shape, T) for name, (shape, T) in placed]
-        frames.append(str(_field(fields.get("header"), "frame_id") or ""))
+        frames.append(str(field_of(fields.get("header"), "frame_id") or ""))
     if len(set(frames)) > 1:
         raise InvalidInputError(
             f"objects are in frames {', '.join(sorted(set(frames)))}; write all in one frame"
@@ -210,24 +210,26 @@ def _object(lines: _Lines) -> dict[str, Any]:
 
 def _refuse_other_content(whole: Mapping[str, Any], world: Mapping[str, Any]) -> None:
     """Refuse octomaps, attached objects and moved frames, which a scene cannot have."""
-    if _field(_field(world.get("octomap"), "octomap"), "data"):
+    if field_of(field_of(world.get("octomap"), "octomap"), "data"):
         raise InvalidInputError(
             "it has an octomap; write it as a cloud, and give that as a map_file"
         )
-    carried = _field(whole.get("robot_state"), "attached_collision_objects")
+    carried = field_of(whole.get("robot_state"), "attached_collision_objects")
     if carried:
-        items = _listed(carried, "attached objects")
-        names = [str(_field(_field(item, "object"), "id")) for item in items]
+        items = listed(carried, "attached objects")
+        names = [str(field_of(field_of(item, "object"), "id")) for item in items]
         raise InvalidInputError(
             f"the robot carries {', '.join(names)}; remove it and write it as 'attachments' of "
             "the problem"
         )
-    for item in _listed(whole.get("fixed_frame_transforms"), "fixed_frame_transforms"):
-        moved = _field(item, "transform")
-        T = _matrix(ros_vector(_field(moved, "translation")), ros_vector(_field(moved, "rotation")))
+    for item in listed(whole.get("fixed_frame_transforms"), "fixed_frame_transforms"):
+        moved = field_of(item, "transform")
+        T = _matrix(
+            ros_vector(field_of(moved, "translation")), ros_vector(field_of(moved, "rotation"))
+        )
         if not np.allclose(T, np.eye(4), atol=1e-9):
             raise InvalidInputError(
-                f"frame {shown(_field(item, 'child_frame_id'))} is moved by a transform; write "
+                f"frame {shown(field_of(item, 'child_frame_id'))} is moved by a transform; write "
                 "poses without it"
             )
 
@@ -238,16 +240,17 @@ def _refuse_link_settings(whole: Mapping[str, Any], objects: Sequence[str]) -> N
         ("link_padding", "padding", 0.0, "keep that distance by --clearance"),
         ("link_scale", "scale", 1.0, "keep a distance by --clearance"),
     ):
-        for item in _listed(whole.get(setting), setting):
-            value = _field(item, field)
+        for item in listed(whole.get(setting), setting):
+            value = field_of(item, field)
             if value != neutral:
+                link = shown(field_of(item, "link_name"))
                 raise InvalidInputError(
-                    f"{setting} of {shown(_field(item, 'link_name'))} is {shown(value)}, which is "
-                    f"not read; remove it and {cure}"
+                    f"{setting} of {link} is {shown(value)}, which is not read; remove it and "
+                    f"{cure}"
                 )
     allowed = mapping(whole.get("allowed_collision_matrix") or {}, "allowed_collision_matrix")
-    names = _listed(allowed.get("entry_names"), "entry_names")
-    rows = [_field(row, "enabled") or [] for row in _listed(allowed.get("entry_values"), "values")]
+    names = listed(allowed.get("entry_names"), "entry_names")
+    rows = [field_of(row, "enabled") or [] for row in listed(allowed.get("entry_values"), "values")]
     pairs = [
         (str(first), str(second))
         for first, row in zip(names, rows, strict=False)
@@ -255,8 +258,8 @@ def _refuse_link_settings(whole: Mapping[str, Any], objects: Sequence[str]) -> N
         if is_allowed is True
     ]
     general = zip(
-        _listed(allowed.get("default_entry_names"), "default_entry_names"),
-        _listed(allowed.get("default_entry_values"), "default_entry_values"),
+        listed(allowed.get("default_entry_names"), "default_entry_names"),
+        listed(allowed.get("default_entry_values"), "default_entry_values"),
         strict=False,
     )
     pairs += [(str(name), "everything") for name, is_allowed in general if is_allowed is True]
@@ -282,10 +285,10 @@ def _pieces_of(fields: Mapping[str, Any], path: Path) -> Iterator[tuple[Shape, F
         )
     if fields.get("planes"):
         raise UnknownChoiceError("shape", "plane", MOVEIT_SHAPES)
-    T_object = _pose(fields["pose"]) if fields.get("pose") else np.eye(4)
+    T_object = read_pose(fields["pose"]) if fields.get("pose") else np.eye(4)
     for kind, plural in (("primitive", "primitives"), ("mesh", "meshes")):
-        shapes = _listed(fields.get(plural), plural)
-        poses = _listed(fields.get(f"{kind}_poses"), f"{kind}_poses")
+        shapes = listed(fields.get(plural), plural)
+        poses = listed(fields.get(f"{kind}_poses"), f"{kind}_poses")
         if not poses and len(shapes) == 1 and fields.get("pose"):
             poses = [None]  # newer messages may have only the pose of the object
         if len(poses) != len(shapes):
@@ -293,12 +296,13 @@ def _pieces_of(fields: Mapping[str, Any], path: Path) -> Iterator[tuple[Shape, F
                 f"{len(shapes)} {plural} and {len(poses)} {kind}_poses; give one pose for each"
             )
         for item, there in zip(shapes, poses, strict=True):
-            T = T_object if there is None else T_object @ _pose(there)
-            made = [_primitive(item)] if kind == "primitive" else _mesh(item, path)
+            T = T_object if there is None else T_object @ read_pose(there)
+            made = [read_primitive(item)] if kind == "primitive" else _mesh(item, path)
             yield from ((shape, T) for shape in made)
 
 
-def _primitive(item: Any) -> Shape:
+def read_primitive(item: Any) -> Shape:
+    """Return the shape of a SolidPrimitive message."""
     fields = mapping(item, "primitive", "type, dimensions")
     given = fields.get("type")
     kind = str(given).lower()
@@ -319,9 +323,9 @@ def _primitive(item: Any) -> Shape:
 def _mesh(item: Any, path: Path) -> Iterator[Shape]:
     fields = mapping(item, "mesh", "vertices, triangles, or resource")
     if "resource" not in fields:
-        faces = _listed(fields.get("triangles"), "triangles")
-        corners = [_field(one, "vertex_indices") or one for one in faces]
-        vertices = [ros_vector(one) for one in _listed(fields.get("vertices"), "vertices")]
+        faces = listed(fields.get("triangles"), "triangles")
+        corners = [field_of(one, "vertex_indices") or one for one in faces]
+        vertices = [ros_vector(one) for one in listed(fields.get("vertices"), "vertices")]
         yield from _pieces(
             numbers(vertices, "vertices", "x, y, z [m]").reshape(-1, 3),
             numbers(corners, "triangles", "3 numbers of vertices").reshape(-1, 3),
@@ -336,18 +340,20 @@ def _mesh(item: Any, path: Path) -> Iterator[Shape]:
     yield from map(ConvexMesh, read_mesh(mesh_path(name, path), scales.pop()))
 
 
-def _pose(value: Any) -> FloatArray:
+def read_pose(value: Any) -> FloatArray:
+    """Return the matrix (4, 4) of a Pose message."""
     fields = mapping(value, "pose", "position, orientation")
     turn = fields.get("orientation", [0, 0, 0, 1])
     return _matrix(ros_vector(fields.get("position")), ros_vector(turn))
 
 
-def _listed(value: Any, what: str) -> Sequence[Any]:
+def listed(value: Any, what: str) -> Sequence[Any]:
+    """Return a list, empty for None; refuse any other value."""
     if value is not None and not isinstance(value, list):
         raise InvalidInputError(f"{at('', what)} is {shown(value)}; it must be a list")
     return value or []
 
 
-def _field(value: Any, name: str) -> Any:
+def field_of(value: Any, name: str) -> Any:
     """Return a field of a mapping, or None."""
     return value.get(name) if isinstance(value, Mapping) else None

@@ -1,0 +1,365 @@
+"""MoveIt's request of a motion, and the judgement of a motion by it.
+
+Read are `MotionPlanRequest`, the messages that hold one, and `Constraints` alone, which then hold
+along the path. Positions become regions; so do orientations whose tolerances are entries of a
+rotation vector. Orientations whose tolerances are Euler angles, MoveIt's default,
+
+    R_desired^T R_link = R_x(a) R_y(b) R_z(c),    |a|, |b|, |c| <= tolerances,
+
+and joint positions are checked here.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from cvqmpt_lab.base.errors import InvalidInputError, at, located, mapping, require_choice, shown
+from cvqmpt_lab.base.files import json_value, yaml_value
+from cvqmpt_lab.base.poses import pose, ros_vector
+from cvqmpt_lab.base.values import scalar
+from cvqmpt_lab.certificate.between_states import largest_violation
+from cvqmpt_lab.certificate.certificate import (
+    CERTIFICATE_TOLERANCE,
+    CHECK_SPACING_RAD,
+    Fault,
+    FaultKind,
+)
+from cvqmpt_lab.certificate.judge import Judgement, judge
+from cvqmpt_lab.certificate.limit_use import Ends
+from cvqmpt_lab.constraints.task_space_region import FREE, TaskSpaceRegion
+from cvqmpt_lab.geometry.polyline import cut, nearest_places
+from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.robot.joint_frames import poses_at_once
+from cvqmpt_lab.robot.load import robot_from_source
+from cvqmpt_lab.robot.robot import FrameLimit, Robot
+from cvqmpt_lab.scene.cloud_files import read_by_suffix
+from cvqmpt_lab.scene.moveit_scenes import field_of, listed, read_pose, read_primitive
+from cvqmpt_lab.scene.scene import Scene
+from cvqmpt_lab.scene.shapes import Box, Cylinder, Sphere
+from cvqmpt_lab.trajectory.trajectory import Motion
+
+
+class JointBounds(NamedTuple):
+    """Bounds on one joint [rad or m]."""
+
+    joint: str
+    lower: float
+    upper: float
+
+
+class EulerBounds(NamedTuple):
+    """Bounds on the Euler angles of a link's rotation from a desired one."""
+
+    link: str
+    R: np.ndarray  # (3, 3), the desired rotation of the link in the world
+    most: np.ndarray  # (3,), largest |a|, |b|, |c| [rad]
+
+    def excess(self, robot: Robot, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the excess (k,) of the angles over their bounds at q (k, n), and |cos b| (k,)."""
+        turned = self.R.T @ poses_at_once(robot, q, self.link)[:, :3, :3]
+        sine = turned[:, 0, 2].clip(-1.0, 1.0)
+        a = np.arctan2(-turned[:, 1, 2], turned[:, 2, 2])
+        c = np.arctan2(-turned[:, 0, 1], turned[:, 0, 0])
+        angles = np.abs(np.stack([a, np.arcsin(sine), c], axis=1))
+        return (angles - self.most).max(axis=1), np.sqrt(1.0 - sine**2)
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """What a `Constraints` message asks of a configuration, all of it at once."""
+
+    regions: tuple[TaskSpaceRegion, ...] = ()
+    joints: tuple[JointBounds, ...] = ()
+    eulers: tuple[EulerBounds, ...] = ()
+
+    def broken(self, robot: Robot, q: np.ndarray) -> str:
+        """Return which condition q (n,) breaks, in words; "" if it meets all."""
+        for name, lower, upper in self.joints:
+            value = q[robot.joint_names.index(name)]
+            if not lower - 1e-6 <= value <= upper + 1e-6:
+                return f"{name} is at {value:.4g}, asked are {lower:.4g} to {upper:.4g}"
+        for region in self.regions:
+            given = (robot, (region,), q[None], CHECK_SPACING_RAD, CERTIFICATE_TOLERANCE)
+            found = largest_violation(*given)
+            if found.largest > CERTIFICATE_TOLERANCE:
+                off = f"{found.metres:.2g} m, {found.radians:.2g} rad"
+                return f"{region.end_effector} is {off} outside its region"
+        for bounds in self.eulers:
+            over = float(bounds.excess(robot, q[None])[0][0])
+            if over > CERTIFICATE_TOLERANCE:
+                return f"{bounds.link} is turned {over:.2g} rad beyond its tolerance"
+        return ""
+
+
+@dataclass(frozen=True)
+class MotionRequest:
+    """What a `MotionPlanRequest` asks of a motion."""
+
+    start: Mapping[str, float] = field(default_factory=dict)  # values of joints [rad or m]
+    path: Conditions = field(default_factory=Conditions)
+    goals: tuple[Conditions, ...] = ()  # one of them must be met at the end; none: anywhere
+    speed: float = 1.0  # factor on the velocity limits
+    acceleration: float = 1.0  # factor on the acceleration limits
+    frame_limits: Mapping[str, FrameLimit] = field(default_factory=dict)
+
+
+def read_request(path: Path, robot: Robot) -> MotionRequest:
+    """Read the request of a json or yaml file; InvalidInputError names what cannot be judged."""
+    readers = {
+        ".json": lambda data: _request(json_value(data.decode(), "it"), robot),
+        ".yaml": lambda data: _request(yaml_value(data.decode()), robot),
+    }
+    readers[".yml"] = readers[".yaml"]
+    return read_by_suffix(readers, path, "request")
+
+
+def judge_request(
+    motion: Motion, request: MotionRequest, robot: Robot, scene: Scene, exact: bool = False
+) -> tuple[PlanningProblem, Judgement]:
+    """Judge a motion by a request.
+
+    Args:
+        motion: the path or trajectory.
+        request: start, path constraints, goals and factors on limits.
+        robot: the robot.
+        scene: obstacles.
+        exact: whether least distances are measured.
+
+    Returns:
+        The problem that the motion was judged for, and the judgement.
+    """
+    robot = _limited(robot, request)
+    motion = motion.of_joints(robot.joint_names)
+    states = motion.positions
+    if states.ndim != 2 or states.shape[1] != robot.dof or not np.isfinite(states).all():
+        raise InvalidInputError(
+            f"the motion has states of shape {states.shape}; give finite ones of {robot.dof} joints"
+        )
+    # states outside the limits are faults of the motion, not of the problem
+    first, last = np.clip(states[[0, -1]], robot.lower, robot.upper)
+    problem = PlanningProblem("request", robot, scene, first, last[None], request.path.regions)
+    current = first.copy()
+    for name, value in request.start.items():
+        current[robot.joint_names.index(name)] = value
+    judged = judge(motion, problem, ends=Ends(current=current), exact_clearance=exact)
+    check = judged.check
+    faults = [*_goal_faults(request, robot, states[-1], len(check.states) - 1.0)]
+    faults += _path_faults(request.path, robot, check.states)
+    if faults:
+        certificate = replace(check.certificate, faults=(*faults, *check.certificate.faults))
+        judged = Judgement(check._replace(certificate=certificate), None)
+    return problem, judged
+
+
+def _limited(robot: Robot, request: MotionRequest) -> Robot:
+    """Return the robot with the limits that a request asks for."""
+    changed: dict[str, Any] = {}
+    if request.frame_limits:
+        limits = {**robot.frame_limits, **request.frame_limits}
+        changed["frame_limits"] = {name: vars(limit) for name, limit in limits.items()}
+    if request.speed < 1.0:
+        changed["velocity_limits"] = (request.speed * robot.velocity_limits).tolist()
+    if request.acceleration < 1.0 and "acceleration" in robot.limits:
+        limit = request.acceleration * robot.limits["acceleration"]
+        changed["acceleration_limits"] = limit.tolist()
+    return robot_from_source({**robot.source, **changed}) if changed else robot
+
+
+def _goal_faults(
+    request: MotionRequest, robot: Robot, end: np.ndarray, at_end: float
+) -> Iterator[Fault]:
+    """Yield a fault if the end (n,) of a motion meets none of the goals."""
+    broken = [goal.broken(robot, end) for goal in request.goals]
+    if broken and all(broken):
+        yield Fault(FaultKind.GOAL, f"does not end at a goal: {broken[0]}", at_end)
+
+
+def _path_faults(path: Conditions, robot: Robot, states: np.ndarray) -> Iterator[Fault]:
+    """Yield faults of joints and Euler angles on straight motions between states (m, n).
+
+    Joints are extreme at states. Along a motion with turns D = sum_j |dq_j|, an Euler angle changes
+    by at most D / |cos b|, and is at most D / 2 / |cos b| above the larger one of its ends.
+    """
+    for name, lower, upper in path.joints:
+        values = states[:, robot.joint_names.index(name)]
+        over = np.maximum(lower - values, values - upper)
+        k = int(over.argmax())
+        if over[k] > 1e-6:
+            text = f"{name} is at {values[k]:.4g}, the request allows {lower:.4g} to {upper:.4g}"
+            yield Fault(FaultKind.LIMITS, text, float(k))
+    turns = np.abs(np.diff(robot.kinematics.joint_values(states), axis=0)).sum(axis=1)
+    dense = cut(states, np.maximum(np.ceil(turns / (0.5 * CERTIFICATE_TOLERANCE)), 1.0).astype(int))
+    D = np.abs(np.diff(robot.kinematics.joint_values(dense), axis=0)).sum(axis=1)
+    for bounds in path.eulers:
+        over, cosine = bounds.excess(robot, dense)
+        k = int(over.argmax())
+        least = np.maximum(np.minimum(cosine[1:], cosine[:-1]) - D, 1e-9)
+        proven = np.maximum(over[1:], over[:-1]) + 0.5 * D / least
+        place = float(nearest_places(states, dense[k][None])[0][0])
+        if over[k] > CERTIFICATE_TOLERANCE:
+            text = f"{bounds.link} is turned {over[k]:.2g} rad beyond its tolerance of Euler angles"
+            yield Fault(FaultKind.MANIFOLD, text, place)
+        elif proven.max(initial=0.0) > CERTIFICATE_TOLERANCE:
+            text = (
+                f"Euler angles of {bounds.link} are within their tolerance at checked states, not "
+                "proven between them"
+            )
+            yield Fault(FaultKind.NOT_PROVEN, text, place)
+
+
+def _request(message: Any, robot: Robot) -> MotionRequest:
+    fields = mapping(message, "", "goal_constraints, path_constraints, start_state")
+    for key in ("motion_plan_request", "request"):
+        if key in fields:
+            return _request(fields[key], robot)
+    if "goal_constraints" not in fields and "path_constraints" not in fields:
+        return MotionRequest(path=_conditions(fields, robot, ""))
+    for key in ("trajectory_constraints", "reference_trajectories"):
+        held = fields.get(key)
+        if field_of(held, "constraints") or (isinstance(held, list) and held):
+            raise InvalidInputError(f"{key} are not judged; write the request without them")
+    goals = listed(fields.get("goal_constraints"), "goal_constraints")
+    speed = _number(fields.get("max_cartesian_speed", 0.0), "max_cartesian_speed")
+    frame = fields.get("cartesian_speed_limited_link") or robot.end_effector
+    return MotionRequest(
+        _start(fields.get("start_state"), robot),
+        _conditions(fields.get("path_constraints") or {}, robot, "path_constraints"),
+        tuple(_conditions(goal, robot, f"goal_constraints[{k}]") for k, goal in enumerate(goals)),
+        _factor(fields, "max_velocity_scaling_factor"),
+        _factor(fields, "max_acceleration_scaling_factor"),
+        {str(frame): FrameLimit(speed)} if speed > 0.0 else {},
+    )
+
+
+def _number(value: Any, where: str) -> float:
+    return float(scalar(float, value, where))
+
+
+def _factor(fields: Mapping[str, Any], name: str) -> float:
+    """Return a factor on limits; MoveIt takes 0, and all above 1, as 1."""
+    factor = _number(fields.get(name, 1.0), name)
+    return factor if 0.0 < factor <= 1.0 else 1.0
+
+
+def _start(state: Any, robot: Robot) -> dict[str, float]:
+    """Return the values of the planned joints in a RobotState; none for the current state."""
+    joints = field_of(state, "joint_state")
+    names = listed(field_of(joints, "name"), "start_state.joint_state.name")
+    values = listed(field_of(joints, "position"), "start_state.joint_state.position")
+    if len(names) != len(values):
+        raise InvalidInputError(
+            f"start_state.joint_state has {len(names)} names and {len(values)} positions"
+        )
+    both = zip(map(str, names), values, strict=True)
+    return {
+        name: _number(value, f"start_state: {name}")
+        for name, value in both
+        if name in robot.joint_names
+    }
+
+
+def _conditions(message: Any, robot: Robot, where: str) -> Conditions:
+    """Return the conditions of a `Constraints` message."""
+    fields = mapping(message, where, "joint_constraints, position_constraints, ...")
+    if fields.get("visibility_constraints"):
+        raise InvalidInputError(
+            f"{at(where, 'visibility_constraints')} are not judged: state the view as look-at of a "
+            "problem file"
+        )
+    regions: list[TaskSpaceRegion] = []
+    joints: list[JointBounds] = []
+    eulers: list[EulerBounds] = []
+    for key, read in (("joint", _joint), ("position", _position), ("orientation", _orientation)):
+        name = f"{key}_constraints"
+        for k, item in enumerate(listed(fields.get(name), at(where, name))):
+            with located(at(where, f"{name}[{k}]")):
+                made = read(mapping(item, ""), robot)
+            kinds: Sequence[tuple[type, list]] = (
+                (TaskSpaceRegion, regions),
+                (JointBounds, joints),
+                (EulerBounds, eulers),
+            )
+            next(found for kind, found in kinds if isinstance(made, kind)).append(made)
+    return Conditions(tuple(regions), tuple(joints), tuple(eulers))
+
+
+def _joint(fields: Mapping[str, Any], robot: Robot) -> JointBounds:
+    name = require_choice("joint_name", str(fields.get("joint_name")), robot.joint_names)
+    value = _number(fields.get("position"), "position")
+    below = _number(fields.get("tolerance_below", 0.0), "tolerance_below")
+    above = _number(fields.get("tolerance_above", 0.0), "tolerance_above")
+    return JointBounds(name, value - below, value + above)
+
+
+def _frame(fields: Mapping[str, Any], robot: Robot) -> np.ndarray:
+    """Return T_world_frame (4, 4) of the frame of a message, which must stand still."""
+    name = str(field_of(fields.get("header"), "frame_id") or "")
+    if name in ("", "world") and name not in robot.frame_names:
+        return np.eye(4)
+    row, T = robot.link_of(name)
+    if row != 0:
+        raise InvalidInputError(
+            f"frame_id {name!r} is moved by the planned joints; give a frame that stands still, "
+            f"such as {robot.frame_names[0]!r}"
+        )
+    return T
+
+
+def _link(fields: Mapping[str, Any], robot: Robot) -> str:
+    return require_choice("link_name", str(fields.get("link_name")), robot.frame_names)
+
+
+def _position(fields: Mapping[str, Any], robot: Robot) -> TaskSpaceRegion:
+    """Return the region of a point of a link that stays in a box, ball or cylinder."""
+    held = mapping(fields.get("constraint_region"), "constraint_region")
+    shapes = listed(held.get("primitives"), "primitives")
+    poses = listed(held.get("primitive_poses"), "primitive_poses")
+    if held.get("meshes") or len(shapes) != 1 or len(poses) != 1:
+        raise InvalidInputError(
+            f"constraint_region has {len(shapes)} primitives and "
+            f"{len(listed(held.get('meshes'), 'meshes'))} meshes; one primitive with its pose is "
+            "judged: a box, sphere or cylinder"
+        )
+    shape, there = read_primitive(shapes[0]), _frame(fields, robot) @ read_pose(poses[0])
+    offset = ros_vector(fields.get("target_point_offset") or {"x": 0.0, "y": 0.0, "z": 0.0})
+    Tw_e = pose([-_number(x, "target_point_offset") for x in offset])
+    Bw = np.array([[-FREE, FREE]] * 6)
+    spans: dict[str, Any] = {}
+    if isinstance(shape, Box):
+        half = 0.5 * np.array(shape.size)
+        Bw[:3] = np.stack([-half, half], axis=1)
+    elif isinstance(shape, Cylinder):
+        Bw[2] = -0.5 * shape.height, 0.5 * shape.height
+        spans["radius"] = (0.0, shape.radius)
+    elif isinstance(shape, Sphere):
+        spans["distance"] = (0.0, shape.radius)
+    return TaskSpaceRegion(there, Tw_e, Bw, end_effector=_link(fields, robot), **spans)
+
+
+def _orientation(fields: Mapping[str, Any], robot: Robot) -> TaskSpaceRegion | EulerBounds:
+    """Return the bounds on the orientation of a link."""
+    link = _link(fields, robot)
+    desired = _frame(fields, robot) @ read_pose(
+        {"position": [0.0, 0.0, 0.0], "orientation": fields.get("orientation")}
+    )
+    most = np.array(
+        [
+            abs(_number(fields.get(name), name))
+            for name in (f"absolute_{axis}_axis_tolerance" for axis in "xyz")
+        ]
+    )
+    kind = fields.get("parameterization", 0)
+    if kind not in (0, 1):
+        raise InvalidInputError(
+            f"parameterization is {shown(kind)}; 0 (XYZ Euler angles) and 1 (rotation vector) are "
+            "judged"
+        )
+    if kind == 0:
+        return EulerBounds(link, desired[:3, :3], most)
+    desired[:3, 3] = 0.0
+    wide = np.where(most >= np.pi, FREE, most)
+    Bw = np.array([[-FREE, FREE]] * 3 + [[-x, x] for x in wide])
+    return TaskSpaceRegion(desired, np.eye(4), Bw, end_effector=link)

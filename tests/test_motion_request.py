@@ -1,0 +1,164 @@
+"""Motions judged by MoveIt's requests: kept, dropped and missed conditions; requests refused."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from command_line import refused
+from scipy.spatial.transform import Rotation
+
+from cvqmpt_lab.certificate.motion_request import judge_request, read_request
+from cvqmpt_lab.cli.main import main
+from cvqmpt_lab.planning.pipeline import solve
+from cvqmpt_lab.search.result import Budget
+from cvqmpt_lab.trajectory.trajectory import Motion
+
+FREE = 3.1416
+
+
+def quaternion(R):
+    return dict(zip("xyzw", Rotation.from_matrix(R).as_quat().tolist(), strict=True))
+
+
+@pytest.fixture(scope="module")
+def request_of(problem, solution):
+    """Return the request of the place task: upright within 0.1 rad, to the solution's last state.
+
+    The rotation vector from the upright orientation is bounded about y and z.
+    """
+    robot, upright = problem.robot, problem.constraint[0]
+    end = solution.path.states[-1]
+    joints = [
+        {"joint_name": name, "position": q, "tolerance_above": 1e-3, "tolerance_below": 1e-3}
+        for name, q in zip(robot.joint_names, end.tolist(), strict=True)
+    ]
+    R = upright.T0_w[:3, :3] @ upright.Tw_e[:3, :3]
+    tilt = {
+        "header": {"frame_id": "panda_link0"},
+        "link_name": "panda_hand",
+        "orientation": quaternion(R),
+        "absolute_x_axis_tolerance": FREE,
+        "absolute_y_axis_tolerance": 0.101,
+        "absolute_z_axis_tolerance": 0.101,
+        "parameterization": 1,
+    }
+
+    def made(**changed):
+        """The request with changed fields; those of `tilt` by their names."""
+        told = {key: changed.pop(key) for key in list(changed) if key in tilt}
+        return {
+            "group_name": "panda_arm",
+            "goal_constraints": [{"joint_constraints": joints}],
+            "path_constraints": {"orientation_constraints": [tilt | told]},
+            "max_velocity_scaling_factor": 0.1,
+            **changed,
+        }
+
+    return made
+
+
+@pytest.fixture
+def judged(tmp_path, problem):
+    def judge(request, states):
+        (tmp_path / "r.json").write_text(json.dumps(request))
+        made = read_request(tmp_path / "r.json", problem.robot)
+        motion = Motion(problem.robot.joint_names, states)
+        return judge_request(motion, made, problem.robot, problem.scene)[1]
+
+    return judge
+
+
+@pytest.fixture(scope="module")
+def dropped(problem, solution):
+    """A path to the same goal without the constraint, as MoveIt returns when it drops one."""
+    free = replace(problem, constraint=(), goals=solution.path.states[-1:])
+    return solve(free, "birrt", Budget(iterations=20_000), seed=0).path.states
+
+
+@pytest.mark.parametrize("kind", [0, 1])
+def test_a_dropped_orientation_constraint_is_found(judged, request_of, solution, dropped, kind):
+    # where the hand is turned about the vertical, Euler angles exceed entries of the vector
+    most = 0.17 if kind == 0 else 0.101
+    wide = {f"absolute_{axis}_axis_tolerance": most for axis in "yz"}
+    request = request_of(parameterization=kind, **wide)
+    kept = judged(request, solution.path.states)
+    assert kept.certified, kept.check.certificate.reasons
+    lost = judged(request, dropped)
+    assert "manifold" in {fault.kind for fault in lost.check.certificate.faults}
+
+
+def test_euler_angles_beyond_their_tolerance_by_a_milliradian_are_found(
+    judged, request_of, problem, solution
+):
+    states = solution.path.states
+    R = np.linalg.inv(problem.robot.poses(states)[:, :3, :3])[0]
+    request = request_of(parameterization=0, orientation=quaternion(R.T))
+    turned = R @ problem.robot.poses(states)[:, :3, :3]
+    most = np.abs(Rotation.from_matrix(turned).as_euler("XYZ")).max(axis=0)
+    axes = ("absolute_x_axis_tolerance", "absolute_y_axis_tolerance", "absolute_z_axis_tolerance")
+    names = {axis: float(value) for axis, value in zip(axes, most + 0.05, strict=True)}
+    tilt = request["path_constraints"]["orientation_constraints"][0]
+    tilt.update(names)
+    assert judged(request, states).certified
+    for axis, value in zip(axes, most, strict=True):
+        tilt.update(names | {axis: float(value) - 1e-3})
+        faults = judged(request, states).check.certificate.faults
+        assert [fault.kind for fault in faults] == ["manifold"], axis
+
+
+def test_goals_and_starts_that_are_missed_are_found(judged, request_of, problem, solution):
+    states = solution.path.states
+    kinds = {fault.kind for fault in judged(request_of(), states[:-3]).check.certificate.faults}
+    assert kinds == {"goal"}
+    start = {"joint_state": {"name": ["panda_joint1"], "position": [states[0, 0] + 0.1]}}
+    faults = judged(request_of(start_state=start), states).check.certificate.faults
+    assert [fault.kind for fault in faults] == ["current"]
+    bounds = {"joint_name": "panda_joint1", "position": float(states[:, 0].min())}
+    request = request_of()
+    request["path_constraints"]["joint_constraints"] = [bounds]
+    assert "panda_joint1 is at" in judged(request, states).first_fault.text
+
+
+@pytest.mark.parametrize(
+    ("shape", "kept"),
+    [
+        ({"type": 1, "dimensions": [0.1, 0.1, 0.1]}, False),
+        ({"type": 1, "dimensions": [3.0, 3.0, 3.0]}, True),
+    ],
+)
+def test_positions_stay_in_their_region(judged, request_of, solution, shape, kept):
+    request = request_of()
+    place = {"primitives": [shape], "primitive_poses": [{"position": {"x": 0.0, "y": 0, "z": 0.5}}]}
+    bounds = {"link_name": "panda_hand", "constraint_region": place, "target_point_offset": {}}
+    request["path_constraints"]["position_constraints"] = [bounds]
+    assert judged(request, solution.path.states).certified == kept
+
+
+def test_the_command_judges_by_a_request(tmp_path, capsys, request_of, solution, problem):
+    np.savetxt(tmp_path / "m.csv", solution.path.states, delimiter=",", fmt="%.17g")
+    (tmp_path / "r.yaml").write_text(json.dumps({"request": request_of()}))
+    words = ["certify", str(tmp_path / "m.csv"), "--request", str(tmp_path / "r.yaml")]
+    assert main(words) == 0
+    told = capsys.readouterr()
+    assert told.out.startswith("certificate certified") and "no --scene is given" in told.err
+
+
+WRONG = {
+    "link_name 'panda_hnad'": {"link_name": "panda_hnad"},
+    "parameterization is 3": {"parameterization": 3},
+    "frame_id 'panda_link5' is moved by the planned joints": {
+        "header": {"frame_id": "panda_link5"}
+    },
+    "absolute_x_axis_tolerance is 'wide'": {"absolute_x_axis_tolerance": "wide"},
+    "trajectory_constraints are not judged": {"trajectory_constraints": {"constraints": [{}]}},
+    "goal_constraints is 3": {"goal_constraints": 3},
+}
+
+
+@pytest.mark.parametrize("told", WRONG)
+def test_wrong_requests_are_one_line(tmp_path, capsys, request_of, solution, told):
+    np.savetxt(tmp_path / "m.csv", solution.path.states, delimiter=",", fmt="%.17g")
+    (tmp_path / "r.json").write_text(json.dumps(request_of(**WRONG[told])))
+    words = ("certify", tmp_path / "m.csv", "--request", tmp_path / "r.json")
+    assert told in refused(capsys, *words)
