@@ -6,7 +6,8 @@ the paper times.
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
+from functools import lru_cache, partial
+from typing import NamedTuple
 
 from cvqmpt_lab.paper_tables import table_engine as table
 from cvqmpt_lab.paper_tables.measures import (
@@ -72,7 +73,25 @@ def task_rows(rows: Iterable[ResultRow], phases: Collection[str] | None = None) 
 
 def of_tasks(measure: Measure, phases: Collection[str] | None = None) -> Measure:
     """Return a measure of whole tasks instead of phases."""
-    return lambda rows, runs: measure(task_rows(rows, phases), runs)
+    summed = None if phases is None else tuple(phases)
+    return lambda rows, runs: measure(_tasks_of(_Same(rows), summed), runs)
+
+
+class _Same(NamedTuple):
+    """Rows that are equal only to themselves, as the key of a cache that does not compare them."""
+
+    rows: Iterable[ResultRow]
+
+    def __hash__(self) -> int:
+        return id(self.rows)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Same) and self.rows is other.rows
+
+
+@lru_cache(maxsize=len(PHASES_OF_PART) + 1)  # one planner's rows, for all columns of its entry
+def _tasks_of(rows: _Same, phases: tuple[str, ...] | None) -> list[ResultRow]:
+    return task_rows(rows.rows, phases)
 
 
 def time_metric(time: str, part: str, statistic: str) -> str:

@@ -4,9 +4,13 @@ Texts are in `templates/`; texts about claims are in `published/claims.toml`.
 """
 
 import base64
+import json
+import re
 import shlex
+import zlib
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from html import escape
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -39,7 +43,7 @@ from cvqmpt_lab.paper_tables.quoted import short
 from cvqmpt_lab.paper_tables.rendering import published_of, table_of, title_of
 from cvqmpt_lab.paper_tables.statements import BECAUSE, CBIRRT, CVQ, OPT, PUBLISHED, READING, STEPS
 from cvqmpt_lab.paper_tables.table_engine import by_planner
-from cvqmpt_lab.paper_tables.writers import Lines, change, markdown_table
+from cvqmpt_lab.paper_tables.writers import BOLD, Lines, change, markdown_table
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE, digests_in, sessions
 from cvqmpt_lab.results.row import ResultRow
 
@@ -74,7 +78,24 @@ def rendered(template: str, **data: Any) -> str:
         keep_trailing_newline=not html,
     )
     environment.filters |= {"table": markdown_table, "verdicts": verdict_lines, "short": short}
+    environment.filters["td"] = html_cell
     return environment.get_template(template).render(**data)
+
+
+def html_cell(text: str, head: str) -> str:
+    """Return the html of a cell of a table: the best value bold, ratios coloured by their interval.
+
+    head: title of the column.
+    """
+    shown = BOLD.sub(r"<b>\1</b>", escape(text))
+    found = re.fullmatch(r"(\S+) ([\[(]([\d.∞]+), ([\d.∞]+)[\])])", shown)
+    if found is None:
+        return f"<td>{shown}</td>"
+    value, interval, low, high = found.groups()
+    kind = ""
+    if " / " in head and interval[0] == "[" and "∞" not in interval:
+        kind = "less" if float(high) < 1.0 else "more" if float(low) > 1.0 else ""
+    return f"<td{f' class={kind}' if kind else ''}>{value}<small>{interval}</small></td>"
 
 
 def reading() -> list[str]:
@@ -230,7 +251,9 @@ def report_html(
         report(len(sections), len(found))
         sections.append({**section_of(evidence), "path": (paths or {}).get(evidence.folder.name)})
     report(len(found), len(found))
-    data = [{key: section[key] for key in ("name", "rows", "again")} for section in sections]
+    kept = ("name", "rows", "again", "path")
+    data = [{key: section[key] for key in kept} for section in sections]
+    text = json.dumps({"columns": REPORT_COLUMNS, "sections": data}, separators=(",", ":"))
     return rendered(
         "report.html.j2",
         title=title,
@@ -246,7 +269,8 @@ def report_html(
         },
         reading=reading(),
         sections=sections,
-        data={"columns": REPORT_COLUMNS, "sections": data},  # input of the page's script
+        # input of the page's script, which inflates it
+        data=base64.b64encode(zlib.compress(text.encode(), 9)).decode("ascii"),
     )
 
 
@@ -292,26 +316,26 @@ def section_of(evidence: Evidence) -> dict[str, Any]:
 
 def _plots(groups: Mapping[str, Rows]) -> dict[str, dict[str, str]]:
     """Return plots of rows by title, as svg with a caption, without plots that have no values."""
-    from cvqmpt_lab.paper_tables import plots
+    from cvqmpt_lab.paper_tables import charts
 
     length = VALUES["path_length"]
     timed = any(row.t_total_s is not None for rows in groups.values() for row in rows)
     boxes = "Boxes contain the middle half of the runs, their line is the median; whiskers: 90 %."
     drawn = {
         "Solved against time": {
-            "svg": plots.svg(plots.profile(groups, "solved")) if timed else "",
+            "svg": charts.solved_within(groups) if timed else "",
             "words": "One line per planner; higher and further left is better.",
         },
         "Work, solved runs": {
-            "svg": plots.distribution(groups, work, f"work: {WORK}"),
+            "svg": charts.distribution(groups, work, f"work: {WORK}"),
             "words": f"{boxes} Further left is less work.",
         },
         "Path length, solved runs": {
-            "svg": plots.distribution(groups, length, "length [rad]", log=False),
+            "svg": charts.distribution(groups, length, "length [rad]", log=False),
             "words": f"{boxes} Further left is shorter.",
         },
         "Time by stage": {
-            "svg": plots.stage_times(groups) if timed else "",
+            "svg": charts.stage_times(groups) if timed else "",
             "words": "One bar per planner, one colour per stage of planning.",
         },
     }

@@ -2,7 +2,6 @@
 
 import io
 import math
-import re
 from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
@@ -20,7 +19,6 @@ from cvqmpt_lab.paper_tables.measures import (
     PUBLISHED_PRICES,
     REFERENCE,
     VALUES,
-    Value,
     mean_ratio,
     paired,
     time_at,
@@ -37,14 +35,6 @@ STYLE: Any = {
     "font.size": 9.0,
     "axes.spines.top": False,
     "axes.spines.right": False,
-}
-STAGES = {  # stages of a run, by the column of their time
-    "goals": "t_goals_s",
-    "encode": "t_encode_s",
-    "predict": "t_predict_s",
-    "update": "t_optimize_s",
-    "search": "t_plan_s",
-    "shorten": "t_simplify_s",
 }
 COLOURS = {  # colours of planners
     "birrt": "#70757d",
@@ -77,8 +67,7 @@ WORD_COLOURS = {
 }
 OURS = "roadmap"  # drawn with a thick line
 WIDTH = 7.6  # [inches]
-LINE = 0.27  # [inches] of height a planner
-LEGEND_LINE = 0.18  # the same in a legend
+LEGEND_LINE = 0.18  # [inches] of height a planner in a legend
 
 
 def line_style(name: str) -> dict[str, Any]:
@@ -104,13 +93,6 @@ def figure_bytes(figure: Figure, kind: str, dpi: int = 160) -> bytes:
     with matplotlib.rc_context({"svg.hashsalt": "cvqmpt"}):
         figure.savefig(buffer, format=kind, dpi=dpi, metadata=metadata)
     return buffer.getvalue()
-
-
-def svg(figure: Figure) -> str:
-    """Return a figure as svg; coordinates have one decimal, a tenth of a pixel."""
-    text = figure_bytes(figure, "svg", 72).decode("utf-8")
-    text = re.sub(r'(?<= d=")[^"]*', lambda path: re.sub(r"(\.\d)\d+", r"\1", path[0]), text)
-    return text[text.index("<svg") :]
 
 
 @matplotlib.rc_context(STYLE)
@@ -146,64 +128,6 @@ def profile(groups: Groups, kind: str) -> Figure:
     _finish(axes, "time, everything counted [s]" if kind == "solved" else label, "solved [%]")
     axes.set_ylim(0.0, 102.0)
     return figure
-
-
-@matplotlib.rc_context(STYLE)
-def distribution(groups: Groups, value: Value, label: str, log: bool = True) -> str:
-    """Return a box for each planner over its solved runs: quartiles, whiskers at 5 and 95 %.
-
-    Args:
-        groups: rows by planner.
-        value: function that returns the value of a row.
-        label: label of the axis.
-        log: whether the axis is logarithmic.
-
-    Returns:
-        The plot as svg; "" where no solved run has a value.
-    """
-    known = {
-        name: found
-        for name, rows in groups.items()
-        if (found := [float(x) for row in rows if row.solved and (x := value(row))])
-    }
-    if not known:
-        return ""
-    figure, axes = _axes(0.7 + LINE * len(known))
-    boxes = axes.boxplot(
-        list(known.values())[::-1],
-        orientation="horizontal",
-        whis=(5, 95),
-        showfliers=False,
-        patch_artist=True,
-        widths=0.6,
-        medianprops={"color": "black"},
-    )
-    axes.set_yticks(range(1, len(known) + 1), list(known)[::-1])
-    for box, name in zip(boxes["boxes"], list(known)[::-1], strict=True):
-        box.set_facecolor((line_style(name)["color"], 0.5))
-    _finish(axes, label, "", legend=False, log=log)
-    return svg(figure)
-
-
-@matplotlib.rc_context(STYLE)
-def stage_times(groups: Groups) -> str:
-    """Return a plot of the mean time of every stage, stacked."""
-    figure, axes = _axes(0.9 + LINE * len(groups))
-    names, left = list(groups)[::-1], np.zeros(len(groups))
-    for k, (stage, column) in enumerate(STAGES.items()):
-        means = [
-            1e3 * np.mean([getattr(row, column) or 0.0 for row in groups[name]]) for name in names
-        ]
-        axes.barh(names, means, left=left, color=matplotlib.colormaps["Set2"](k), label=stage)
-        left += means
-    _finish(axes, "mean time [ms], failures with what they took", "", log=False)
-    longest, middle = float(left.max()), float(np.median(left))
-    axes.set_xlim(0.0, 1.1 * (longest if longest < 8.0 * middle else middle) or 1.0)
-    for k, total in enumerate(left):
-        if total > axes.get_xlim()[1]:
-            beside = axes.get_yaxis_transform()
-            axes.text(0.99, k, f"{total:.0f} ms →", transform=beside, ha="right", va="center")
-    return svg(figure)
 
 
 @matplotlib.rc_context(STYLE)

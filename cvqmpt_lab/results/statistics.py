@@ -100,11 +100,15 @@ def mean_of_solved(values: ArrayLike, samples: int = 2000) -> Interval:
     n = len(array)
     if n < 2:
         return Interval(float(array[0]), None, None, 1) if n else UNDEFINED
-    # indices of values drawn with replacement
-    drawn = np.random.default_rng(0).integers(n, size=(samples, n))
     tail = (1 - CONFIDENCE) / 2
-    low, high = np.quantile(array[drawn].mean(axis=1), [tail, 1 - tail])
+    low, high = np.quantile(array[_drawn(n, samples)].mean(axis=1), [tail, 1 - tail])
     return Interval(float(array.mean()), float(low), float(high), n)
+
+
+@lru_cache(maxsize=4)  # most intervals of a table have the same number of problems
+def _drawn(n: int, samples: int) -> np.ndarray:
+    """Return the indices (samples, n) of values drawn with replacement."""
+    return np.random.default_rng(0).integers(n, size=(samples, n))
 
 
 def geometric_mean_interval(values: ArrayLike) -> Interval:

@@ -58,7 +58,7 @@ def test_it_has_rows_a_table_a_report_and_is_continued(folder, tmp_path, cvqmpt,
     assert "cvqmpt plan --problem-file FILE --planner PLANNER" in (out / "report.html").read_text()
     assert "name it with --problems-dir" in refused(capsys, "certify", out)
     told = cvqmpt("certify", out, "--problems-dir", folder)
-    assert told == "2 paths, 2 certified, 0 refused, 0 differ from their rows\n"
+    assert told == "2 paths, 2 certified, 0 not certified, 0 differ from their rows\n"
 
 
 def test_a_changed_file_is_not_mixed_with_earlier_rows_and_a_new_one_is_added(

@@ -5,6 +5,8 @@ import re
 import shutil
 import sqlite3
 import subprocess
+import zlib
+from base64 import b64decode
 from itertools import product
 
 import pytest
@@ -226,10 +228,10 @@ def page(results):
 def test_a_report_holds_all_its_parts_needs_no_network_and_names_are_text(page):
     texts = "Is the paper replicated?", "not testable", "Solved against time", "Time by stage"
     assert all(text in page for text in (*texts, "Provenance"))
-    assert page.count("<svg") == 4 and "cvqmpt plan place-task --problem PROBLEM" in page
-    marks = ('id="verdicts"', '<details class="suite"', "Colours of the plots", "<svg")
+    assert page.count("<svg") == 5 and "cvqmpt plan place-task --problem PROBLEM" in page
+    marks = ('id="verdicts"', '<details class="suite"', "solved [%]", "<svg", "Lines:")
     places = [page.index(mark) for mark in marks]
-    assert places == sorted(places), "verdicts lead, suites are folded and have their own legend"
+    assert places == sorted(places), "verdicts lead, suites are folded, tables come before charts"
     assert f'background: {line_style("opt-cvq-mpt")["color"]}"></i> opt-cvq-mpt' in page
     assert 'href="#rows/0/opt-cvq-mpt"' in page, "a number leads to its rows"
     fetched = re.findall(r'(?:src|href)="([^"]*)"', page) + re.findall(r"url\(([^)]*)\)", page)
@@ -238,12 +240,25 @@ def test_a_report_holds_all_its_parts_needs_no_network_and_names_are_text(page):
     assert "&lt;script&gt;alert(1)&lt;/script&gt;$x$" in page
 
 
+def test_a_report_packs_its_rows_marks_the_best_and_colours_ratios(page):
+    packed = re.search(r'id="data">([\w+/=]+)</script>', page)[1]
+    data = json.loads(zlib.decompress(b64decode(packed)))
+    (section,) = data["sections"]
+    assert section["path"]["html"] == "</script>turned" and len(section["rows"][EVIL]) == 10
+    assert len(packed) < 0.3 * len(json.dumps(data)), "rows are most of a report"
+    worse = "<td class=more>2.00<small>[2.00, 2.10]</small></td>"
+    assert pages.html_cell("2.00 [2.00, 2.10]", "time / birrt") == worse
+    best = pages.html_cell("**0.5** [0.4, 0.9]", "work / birrt")
+    assert best.startswith("<td class=less><b>0.5</b>")
+    assert pages.html_cell("0.5 [0.4, 0.9]", "time [s]") == "<td>0.5<small>[0.4, 0.9]</small></td>"
+
+
 def test_a_report_of_executions_or_of_failures_alone_leaves_plots_without_values_out(tmp_path):
     executed = pages.report_html(pages.evidence_of(RESULTS / "executed"))
     assert "Executed in simulation" in executed and executed.count("<svg") == 0
     folder = a_results_folder(tmp_path, birrt=None)
     failed = pages.report_html(pages.evidence_of(folder))
-    assert failed.count("<svg") == 2 and "Path length, solved runs" not in failed
+    assert failed.count("<svg") == 3 and "Path length, solved runs" not in failed
 
 
 def test_the_command_writes_it_beside_the_rows_and_refuses_other_folders(
@@ -325,7 +340,12 @@ def test_a_browser_reads_it_without_a_message_on_its_console(page, tmp_path):
     opened = "<script>document.querySelector('.path').open = true;</script></body>"
     (tmp_path / "r.html").write_text(page.replace("</body>", opened))
     arguments = ["--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"]
-    arguments += ["--dump-dom", "--enable-logging=stderr", f"--user-data-dir={tmp_path}"]
+    arguments += [
+        "--virtual-time-budget=20000",
+        "--dump-dom",
+        "--enable-logging=stderr",
+        f"--user-data-dir={tmp_path}",
+    ]
     words = [CHROMIUM, *arguments, (tmp_path / "r.html").as_uri() + "#rows/0/opt-cvq-mpt"]
     done = subprocess.run(words, capture_output=True, text=True, timeout=500, check=True)
     assert "CONSOLE" not in done.stderr
