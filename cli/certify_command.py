@@ -28,6 +28,7 @@ from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.scene.scene_files import read_scene
 from cvqmpt_lab.tasks.task import Task
 from cvqmpt_lab.tasks.world import phase_problems
+from cvqmpt_lab.trajectory.bags import is_bag
 from cvqmpt_lab.trajectory.trajectory import Motion, read_motion
 
 
@@ -35,7 +36,7 @@ def run(args: argparse.Namespace) -> int:
     """Certify and print; return 1 if anything is refused or not proven."""
     if (args.path / "task.json").is_file():
         return _certify_task(args)
-    if args.path.is_dir():
+    if args.path.is_dir() and not is_bag(args.path):
         of_file = (args.suite, args.problem_file, args.task_file, args.current, args.clearance)
         if any(given is not None for given in of_file) or robot_source(args):
             raise InvalidInputError(
@@ -44,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
         return _certify_run(args.path, args.problems_dir, args.json)
     why = "goes with the directory of a run; name one file: --problem-file"
     refuse_given(args, ["problems_dir"], why)
-    motion = read_motion(args.path)
+    motion = read_motion(args.path, args.topic)
     if args.request is not None:
         return _told(args, motion, *_by_request(args, motion))
     refuse_given(args, ["scene"], "goes with --request; a problem has its own scene")
@@ -218,7 +219,7 @@ OPTIONS: Options = {
         "states, or a trajectory, whose limits are checked too; the directory of a run; or the "
         "folder of a task's motions",
         type=Path,
-        metavar="PATH.csv|PATH.json|DIR",
+        metavar="PATH.csv|json|yaml|npz|mcap|DIR",
     ),
     **PROBLEM,
     "--task-file": option(
@@ -234,6 +235,10 @@ OPTIONS: Options = {
         "obstacles for --request: a scene, or a PlanningScene of MoveIt",
         type=Path,
         metavar="S.json|yaml|scene",
+    ),
+    "--topic": option(
+        "topic of a recording, an .mcap file or a folder of rosbag2 (the only one with motions)",
+        metavar="NAME",
     ),
     "--problems-dir": option(
         "folder of the problem files, for the directory of a run of them", type=Path, metavar="DIR"

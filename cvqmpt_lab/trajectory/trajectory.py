@@ -37,6 +37,7 @@ from cvqmpt_lab.base.errors import (
 from cvqmpt_lab.base.files import csv_table, json_value, write_text, yaml_value
 from cvqmpt_lab.base.values import numbers
 from cvqmpt_lab.scene.cloud_files import kind_of, read_by_suffix
+from cvqmpt_lab.trajectory.bags import is_bag, message_of_bag
 from cvqmpt_lab.trajectory.ros_messages import joint_trajectory, nanoseconds
 
 if TYPE_CHECKING:
@@ -180,8 +181,15 @@ def as_ros_json(trajectory: Trajectory) -> str:
 TRAJECTORY_WRITERS = {".csv": as_csv, ".json": as_ros_json}
 
 
-def read_motion(path: Path) -> Motion:
-    """Read a motion from a file; InvalidInputError names the file and what is wrong in it."""
+def read_motion(path: Path, topic: str | None = None) -> Motion:
+    """Read a motion from a file; InvalidInputError names the file and what is wrong in it.
+
+    topic: topic of a recording, see `bags`; None: the only one with motions.
+    """
+    if is_bag(path):
+        return _checked(_from_value(message_of_bag(path, topic)), path)
+    if topic is not None:
+        raise InvalidInputError(f"topic {topic!r} belongs to a recording; {path} is none")
     readers = {
         ".csv": _from_csv,
         ".json": lambda data: _from_value(json_value(data.decode(), "it")),
@@ -189,7 +197,11 @@ def read_motion(path: Path) -> Motion:
         ".npz": _from_arrays,
     }
     readers[".yml"] = readers[".yaml"]
-    motion = read_by_suffix(readers, path, "motion")
+    return _checked(read_by_suffix(readers, path, "motion"), path)
+
+
+def _checked(motion: Motion, path: Path) -> Motion:
+    """Return a motion whose arrays fit together; refuse others."""
     for kind in (motion.positions, motion.velocities, motion.accelerations):
         if kind is not None and (kind.ndim != 2 or kind.shape != motion.positions.shape):
             raise InvalidInputError(

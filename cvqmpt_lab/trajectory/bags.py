@@ -1,0 +1,71 @@
+"""Motions in recordings of ROS 2: an MCAP file, or a folder that rosbag2 wrote with MCAP files."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from cvqmpt_lab.base.errors import InvalidInputError, require_choice, require_installed, shown
+
+
+def is_bag(path: Path) -> bool:
+    """Return whether a path is an MCAP file or a folder of rosbag2."""
+    return path.suffix == ".mcap" or (path / "metadata.yaml").is_file()
+
+
+def message_of_bag(path: Path, topic: str | None = None) -> Any:
+    """Return the last message of a topic with motions, as plain values.
+
+    Args:
+        path: file or folder.
+        topic: name of the topic; None: the only one with motions.
+
+    Raises InvalidInputError without the package mcap-ros2-support, and for a recording without the
+    topic; the message names those that it has.
+    """
+    require_installed("mcap_ros2", f"reading {path}", "ros")
+    from mcap.exceptions import McapError
+    from mcap_ros2.reader import read_ros2_messages
+
+    motions = ("JointTrajectory", "RobotTrajectory", "DisplayTrajectory")
+    files = [path] if path.is_file() else sorted(path.glob("*.mcap"))
+    if not files:
+        held = ", ".join(sorted(file.name for file in path.iterdir())) if path.is_dir() else "-"
+        raise InvalidInputError(
+            f"{path} has no .mcap file ({held}); convert it by: ros2 bag convert, with "
+            "storage_id mcap"
+        )
+    last = dict[str, Any]()
+    others = dict[str, str]()
+    try:
+        for file in files:
+            for found in read_ros2_messages(file):
+                kind = found.schema.name.rpartition("/")[2]
+                if kind in motions:
+                    last[found.channel.topic] = found.ros_msg
+                else:
+                    others[found.channel.topic] = kind
+    except (McapError, ValueError, OSError, EOFError) as error:
+        raise InvalidInputError(f"cannot read recording {path}: {shown(str(error))}") from error
+    if not last:
+        listed = ", ".join(f"{name} ({kind})" for name, kind in others.items()) or "none"
+        raise InvalidInputError(
+            f"{path} has no topic with a {', '.join(motions)}; its topics: {listed}"
+        )
+    if topic is None and len(last) > 1:
+        raise InvalidInputError(f"{path} has motions on {', '.join(last)}: choose one by --topic")
+    name = next(iter(last)) if topic is None else require_choice("topic", topic, last)
+    return _plain(last[name])
+
+
+def _plain(value: Any) -> Any:
+    """Return a decoded message as mappings, lists and numbers."""
+    if isinstance(value, str | bytes | int | float):
+        return value
+    if hasattr(value, "__slots__"):
+        return dict(_fields(value))
+    return [_plain(item) for item in value]
+
+
+def _fields(message: Any) -> Iterator[tuple[str, Any]]:
+    for name in message.__slots__:
+        yield name, _plain(getattr(message, name))
