@@ -298,9 +298,10 @@ MOTION: Options = {
             metavar="X,Y,Z,R,P,Y",
         ),
         "--constraint": option(
-            "upright, upright-box, fixed-orientation, plane, line, pose, relative-pose (the first "
-            "three keep the end effector's orientation at the start, relative-pose=HAND keeps the "
-            "other hand's pose relative to HAND), or a region as json; repeatable",
+            "upright, upright-box, fixed-orientation, plane, line, pose, relative-pose, look-at, "
+            "distance, on-sphere, on-cylinder (the first three keep the end effector's orientation "
+            "at the start, relative-pose=HAND keeps the other hand's pose relative to HAND, "
+            "look-at=X,Y,Z keeps a point ahead of it), or a region as json; repeatable",
             metavar="NAME[=VALUE]|JSON",
             **REPEATED,
         ),

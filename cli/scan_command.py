@@ -247,9 +247,8 @@ def _constraint(text: str, robot: Robot, start: np.ndarray) -> TaskSpaceRegion:
         held = {name: {"base": value, "at": at.tolist()}, "end_effector": hand}
         return from_plain(Region, held, "--constraint")
     if value:
-        fields[next(iter(field_kinds(NAMED_REGIONS[name])))] = numbers(
-            "--constraint", value, ("VALUE",)
-        )[0]
+        given = numbers("--constraint", value, () if "," in value else ("VALUE",))
+        fields[next(iter(field_kinds(NAMED_REGIONS[name])))] = given if len(given) > 1 else given[0]
     return from_plain(Region, {name: fields}, "--constraint")
 
 

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvqmpt_lab.base.values import frozen
-from cvqmpt_lab.constraints.bounds_between import ROTATION_RATE, bound_between
+from cvqmpt_lab.constraints.bounds_between import ROTATION_RATE, bound_between, longest_lever
 from cvqmpt_lab.constraints.report import displaced, excess
-from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
+from cvqmpt_lab.constraints.task_space_region import UNITS, TaskSpaceRegion
 from cvqmpt_lab.geometry.polyline import numbered_parts, parts_within, states_between
 from cvqmpt_lab.robot.joint_frames import poses_at_once
 from cvqmpt_lab.robot.robot import Robot
@@ -46,7 +46,7 @@ def largest_violation(
         spacing: largest distance between the states checked at first [rad].
         tolerance: stretches are cut where the bound exceeds it and no state does [m, rad].
         most_parts: largest number of parts that a stretch is cut into at once, up to CUTS times.
-        at_first: displacements (k, 7) of each region at the states checked at first, if they are
+        at_first: displacements (k, 10) of each region at the states checked at first, if they are
             known [m, rad].
     """
     radians = metres = highest = 0.0
@@ -68,9 +68,10 @@ def largest_violation(
             counts = np.where(doubtful, np.clip(parts, 2, most_parts).astype(int), 1)
             known, q = np.concatenate([[0], np.cumsum(counts)]), _cut(q, counts)
             new, before = np.ones(len(q), dtype=bool), x
-            new[known], x = False, np.empty((len(q), 7))
+            new[known], x = False, np.empty((len(q), x.shape[1]))
             x[known], x[new] = before, _displacements(robot, region, q[new])
-        radians, metres = max(radians, beyond[:, 3:].max()), max(metres, beyond[:, :3].max())
+        radians = max(radians, beyond[:, UNITS == "rad"].max())
+        metres = max(metres, beyond[:, UNITS == "m"].max())
         highest = max(highest, (at_ends + between).max(initial=outside.max()))
         if outside.max() > most:
             most, at = outside.max(), q[outside.argmax()]
@@ -89,7 +90,8 @@ def least_slack(
     A hand that is turned or moved by less stays inside. Rows of width 0 have no slack and are left
     out; the slack is inf without others. Entries of the rotation vector change by up to
     ROTATION_RATE times the turn of the hand, and change signs at angle pi: where a path may come
-    there and bounds are not symmetric, the slack is 0.
+    there and bounds are not symmetric, the slack is 0. A bearing changes by up to the angle whose
+    sine is the way of the hand over the distance, which limits the slack [m] too.
 
     Args:
         robot: the robot.
@@ -102,15 +104,19 @@ def least_slack(
     q = evenly_spaced(states, spacing)
     for region in regions:
         lower, upper = region.bounds.T
-        thin = ~np.isin(np.arange(7), region.bounded_rows) | ~region.wide
+        thin = ~np.isin(np.arange(len(UNITS)), region.bounded_rows) | ~region.wide
         x = _displacements(robot, region, q)
         inside = np.where(thin, np.inf, -excess(region, x).max(axis=0))
-        seen = np.array([inside[3:].min(), inside[:3].min()]).clip(min=0.0)
+        seen = np.array([inside[unit == UNITS].min() for unit in ("rad", "m")]).clip(min=0.0)
         free = np.where(thin[:6, None], [-np.inf, np.inf], 0.0)
         for _ in range(CUTS if np.isfinite(seen).any() else 0):
             radians, metres = np.where(np.isinf(seen), 0.0, seen).tolist()
             moved = region.inset(metres, radians, share=0.5)
-            moved = moved.changed(Bw=frozen(np.where(thin[:6, None], free, moved.Bw)))
+            moved = moved.changed(
+                Bw=frozen(np.where(thin[:6, None], free, moved.Bw)),
+                distance=None if thin[7] else moved.distance,
+                radius=None if thin[8] else moved.radius,
+            )
             found = largest_violation(robot, (moved,), states, spacing, resolution, at_first=(x,))
             if max(found.radians, found.metres) <= resolution:
                 seen -= found.largest
@@ -125,6 +131,12 @@ def least_slack(
             furthest = np.linalg.norm(x[:, 3:6], axis=1).max() + ROTATION_RATE * turned
             flips = furthest + seen[0] > np.pi and (lower[3:6] != -upper[3:6])[turns].any()
             seen[0] = 0.0 if flips else seen[0] / ROTATION_RATE
+        if not thin[9]:
+            turned = np.abs(np.diff(robot.kinematics.joint_values(q), axis=0)).sum(axis=1)
+            moved_m = max(longest_lever(robot, region), 1.0) * turned
+            nearest = (0.5 * (x[:-1, 7] + x[1:, 7] - moved_m)).min(initial=x[:, 7].min())
+            seen[0] *= 0.5  # the other half is for what moves the hand
+            seen[1] = min(seen[1], max(nearest, 0.0) * np.sin(min(seen[0], 0.5 * np.pi)))
         slack = np.minimum(slack, seen.clip(min=0.0))
     return float(slack[0]), float(slack[1])
 
@@ -135,7 +147,7 @@ def evenly_spaced(states: np.ndarray, spacing: float) -> np.ndarray:
 
 
 def _displacements(robot: Robot, region: TaskSpaceRegion, states: np.ndarray) -> np.ndarray:
-    """Return displacements (m, 7) as `report.displacements`, of all states (m, n) at once."""
+    """Return displacements (m, 10) as `report.displacements`, of all states (m, n) at once."""
     poses = poses_at_once(robot, states, region.end_effector)
     return displaced(region, poses, region.reference_poses(robot, states))
 

@@ -14,6 +14,7 @@ from cvqmpt_lab.certificate.between_states import largest_violation, least_slack
 from cvqmpt_lab.certificate.motion_proof import LeastDistance, prove_free
 from cvqmpt_lab.collision.carried import reach_with
 from cvqmpt_lab.collision.exact import CollisionChecker
+from cvqmpt_lab.constraints.bounds_between import longest_lever
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegionChain
 from cvqmpt_lab.geometry.polyline import nearest_places, step_lengths
 from cvqmpt_lab.problem import PlanningProblem
@@ -259,9 +260,11 @@ def deviation_tolerated(
     moved, turned = max(moved - deviation, 0.0), max(turned - deviation, 0.0)
     carried = reach_with(robot, problem.attachments) - robot.reach
     levers = robot.levers(max([carried, *arms]))
-    if any(isinstance(region, TaskSpaceRegionChain) for region in regions):
-        # such a region moves with a link, which turns, too; the hand is within 2 reaches of it
-        levers = np.maximum(levers, 2.0 * robot.reach)
+    for region in regions:
+        hand_moves = region.end_effector in (None, *robot.end_effectors)
+        # a region that hangs on a link moves with it; other frames may lie outside of the bodies
+        if isinstance(region, TaskSpaceRegionChain) or not hand_moves:
+            levers = np.maximum(levers, longest_lever(robot, region))
     joints = min(moved / levers.sum(), turned / max(robot.turn_rate, 1.0))
     return Deviation(float(points), float(hand), float(joints))
 

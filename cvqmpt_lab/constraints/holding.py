@@ -24,7 +24,7 @@ def really_held(
     if not any(item.also_held_by for item in attachments):
         return attachments
     ties = [
-        {robot.link_of(region.base)[0], robot.hand(region.end_effector)[0]}
+        {row for row, _ in region.links(robot)}
         for region in regions
         if isinstance(region, TaskSpaceRegionChain) and _has_little_play(region)
     ]

@@ -21,12 +21,14 @@ from cvqmpt_lab.base.errors import (
     shown,
 )
 from cvqmpt_lab.base.poses import Placement, Pose, pose, rigid
-from cvqmpt_lab.base.values import Angle, Condition, Name, frozen
+from cvqmpt_lab.base.values import Angle, Length, Name, frozen
 from cvqmpt_lab.constraints.task_space_region import (
     FREE,
     Axis,
+    Span,
     TaskSpaceRegion,
     TaskSpaceRegionChain,
+    Tolerance,
     symmetric_region,
     upright,
     upright_box,
@@ -35,7 +37,6 @@ from cvqmpt_lab.constraints.task_space_region import (
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 HAND_FIELD = "end_effector"  # of a region, names its hand
-Tolerance = Annotated[float, Condition(float, lambda x: x >= 0.0, "0 or more")]
 
 
 def upper_axis(T_world_hand: np.ndarray) -> Axis:
@@ -127,6 +128,65 @@ def relative_pose(
     return TaskSpaceRegionChain(at @ turned, turned.T, Bw, tilt=tilt, base=base)
 
 
+def look_at(
+    point: Vector, angle: Angle = 0.1, axis: Axis = "z", distance: Span | None = None
+) -> TaskSpaceRegion:
+    """Return the region where an axis of the end effector, or of a camera, passes a point.
+
+    Args:
+        point: the point in the world [m].
+        angle: largest angle between the axis and the line to the point [rad].
+        axis: axis along which the end effector looks.
+        distance: smallest and largest distance of the point from its origin [m]; None: any.
+    """
+    ahead = _along((0.0, 0.0, 0.0), _direction(axis))  # turned, so that z is the axis
+    free = symmetric_region(pose(point), ahead.T, [FREE] * 6)
+    return TaskSpaceRegion(free.T0_w, free.Tw_e, free.Bw, bearing=angle, distance=distance)
+
+
+def distance(
+    bounds: Span, point: Vector = (0.0, 0.0, 0.0), base: Name | None = None
+) -> TaskSpaceRegion:
+    """Return the region where the end effector's origin has a distance from a point.
+
+    Args:
+        bounds: smallest and largest distance [m]; None as the largest: any.
+        point: the point, in the world or in the frame `base` [m].
+        base: frame of the robot that the point moves with; None: the world.
+    """
+    free = symmetric_region(pose(point), np.eye(4), [FREE] * 6)
+    if base is None:
+        return TaskSpaceRegion(free.T0_w, free.Tw_e, free.Bw, distance=bounds)
+    return TaskSpaceRegionChain(free.T0_w, free.Tw_e, free.Bw, base=base, distance=bounds)
+
+
+def on_sphere(centre: Vector, radius: Length, tolerance: Tolerance = 0.0) -> TaskSpaceRegion:
+    """Return the region where the end effector's origin stays on a sphere; it turns freely.
+
+    Args:
+        centre: centre of the sphere [m].
+        radius: radius of the sphere [m].
+        tolerance: to both sides [m].
+    """
+    return distance((max(radius - tolerance, 0.0), radius + tolerance), centre)
+
+
+def on_cylinder(
+    direction: Vector, point: Vector, radius: Length, tolerance: Tolerance = 0.0
+) -> TaskSpaceRegion:
+    """Return the region where the end effector's origin stays on a cylinder; it turns freely.
+
+    Args:
+        direction: direction of the cylinder's axis, of any length.
+        point: a point of the axis [m].
+        radius: radius of the cylinder [m].
+        tolerance: to both sides [m].
+    """
+    free = symmetric_region(_along(point, direction), np.eye(4), [FREE] * 6)
+    bounds = (max(radius - tolerance, 0.0), radius + tolerance)
+    return TaskSpaceRegion(free.T0_w, free.Tw_e, free.Bw, radius=bounds)
+
+
 def _direction(axis: Axis) -> Vector:
     x, y, z = (-1.0 if axis[0] == "-" else 1.0) * np.eye(3)["xyz".index(axis[-1])]
     return x, y, z
@@ -141,6 +201,10 @@ NAMED_REGIONS: Mapping[str, Any] = {
     "line": line,
     "pose": near_pose,
     "relative-pose": relative_pose,
+    "look-at": look_at,
+    "distance": distance,
+    "on-sphere": on_sphere,
+    "on-cylinder": on_cylinder,
 }
 
 
@@ -179,6 +243,10 @@ class RegionForm:
                 "line": {"direction": [0, 1, 0], "point": [0.4, 0.0, 0.5], "tolerance": 0.01},
                 "pose": {"at": {"xyz": [0.4, 0.0, 0.5], "rpy": [3.14, 0.0, 0.0]}},
                 "relative-pose": {"base": "HAND", "at": {"xyz": [0.0, 0.4, 0.0]}},
+                "look-at": {"point": [0.6, 0.0, 0.2], "angle": 0.1},
+                "distance": {"bounds": [0.3, 0.5], "point": [0.6, 0.0, 0.2]},
+                "on-sphere": {"centre": [0.6, 0.0, 0.2], "radius": 0.3},
+                "on-cylinder": {"direction": [0, 0, 1], "point": [0.6, 0.0, 0.2], "radius": 0.3},
             }
             filled = json.dumps({value: examples.get(value, 0.1)})
             raise InvalidInputError(f"{where} is {shown(value)}, a name alone; write {filled}")
@@ -191,10 +259,13 @@ class RegionForm:
                 f"{nearest(unknown, [*full, *NAMED_REGIONS])}; fields: {', '.join(full)}, or one "
                 f"of {', '.join(NAMED_REGIONS)} alone, or with {HAND_FIELD}"
             )
-        if not any(key in NAMED_REGIONS for key in keys):
+        # a region in full may have a field that is called like a name
+        names = [key for key in keys if key in NAMED_REGIONS]
+        names = [key for key in names if key not in full or "T0_w" not in value]
+        if not names:
             kind: Any = TaskSpaceRegionChain if "base" in value else TaskSpaceRegion
             return from_plain(kind, value, where)
-        name = next(key for key in keys if key in NAMED_REGIONS)
+        name = names[0]
         if [key for key in keys if key not in (name, HAND_FIELD)]:
             raise InvalidInputError(
                 f"{where} has {', '.join(keys)}; a region by name stands alone, or with "

@@ -57,7 +57,7 @@ def why_none(
         if (
             (region.bounded_rows > 2).any()
             and not isinstance(member, TaskSpaceRegionChain)
-            and robot.hand(member.end_effector) is robot.hand(region.end_effector)
+            and robot.frame(member.end_effector) is robot.hand(region.end_effector)
         ):
             broken = broken_bound(member, displaced(member, T, member.T0_w[None]))
             reasons += [f"every pose breaks {broken}"] if broken else []

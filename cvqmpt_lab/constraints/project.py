@@ -30,7 +30,7 @@ class ProjectionScratch(NamedTuple):
 
     link_rotation: Annotated[np.ndarray, "p 3 3"]  # link poses
     link_translation: Annotated[np.ndarray, "p 3"]  # link poses [m]
-    displacement: Annotated[np.ndarray, "k 12"]  # written by `residual` for `jacobian`
+    displacement: Annotated[np.ndarray, "k 18"]  # written by `residual` for `jacobian`
     residual: Annotated[np.ndarray, "m"]  # F [m, rad]
     jacobian: Annotated[np.ndarray, "m n"]  # J
     normal: Annotated[np.ndarray, "m m"]  # Cholesky factor of J J^T
@@ -44,7 +44,7 @@ def projection_scratch(kinematics: Kinematics, regions: Regions) -> ProjectionSc
     shapes: tuple[Any, ...] = (
         (rows, 3, 3),
         (rows, 3),
-        (len(regions.link), 12),
+        (len(regions.link), 18),
         m,
         (m, n),
         (m, m),

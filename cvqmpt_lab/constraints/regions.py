@@ -18,6 +18,16 @@ One more entry of x is the tilt, the angle between a = (0, 0, 1) and b = R a, wi
 
 Its bound is a cone. F is smooth at the bound; where c = 0, inside it, the derivative is set to 0.
 
+The last three entries of x are of the position p of e in w alone, and of b:
+
+    distance d = |p|,                       d distance / dt = p . v / d,
+    radius = |(p_x, p_y)|, from w's z axis,  d radius / dt = (p_x v_x + p_y v_y) / radius,
+    bearing = atan2(|g|, -p . b), g = p x b, of the origin of w off b as e sees it,
+
+    d bearing / dt = (v . b - (p . v) (p . b) / d^2 - g . w) / |g|.
+
+v is the velocity of p in w. Their derivatives, too, are set to 0 where the denominator is 0.
+
 Functions may stand beside regions. A function at an address, of machine code or of Python, computes
 x(q) and dx/dq of rows of its own, and F is the signed distance of these x outside their bounds.
 """
@@ -85,7 +95,7 @@ class Regions(NamedTuple):
     reference_rotation: Annotated[np.ndarray, "k 3 3"]  # Rotation of T_base_w
     reference_translation: Annotated[np.ndarray, "k 3"]  # Its translation [m]
     region: Annotated[np.ndarray, "int64 m"]  # Region of each row; k + f for function f
-    axis: Annotated[np.ndarray, "int64 m"]  # 0-2 position, 3-5 rotation vector, 6 tilt; else -1
+    axis: Annotated[np.ndarray, "int64 m"]  # Row of `task_space_region.ROWS`; else -1
     lower: Annotated[np.ndarray, "m"]  # Bounds [m or rad]
     upper: Annotated[np.ndarray, "m"]  # Bounds [m or rad]
     functions: Annotated[np.ndarray, "int64 functions 2"]  # Address, number of first parameter
@@ -224,15 +234,60 @@ def _pick(vector, axis):
 
 
 @kernel(inline="machine")
-def _orientation_rows(regions, k, first):
-    """Whether region k, whose rows begin at first, bounds the tilt, and the rotation vector."""
-    tilts = turns = False
+def _kinds_of_rows(regions, k, first):
+    """Whether region k, its rows from first on, bounds tilt, rotation vector, and rows 7 to 9."""
+    tilts = turns = places = False
     row = first
     while row < regions.region.shape[0] and regions.region[row] == k:
         tilts = tilts or regions.axis[row] == 6
         turns = turns or 2 < regions.axis[row] < 6
+        places = places or regions.axis[row] > 6
         row += 1
-    return tilts, turns
+    return tilts, turns, places
+
+
+@kernel(inline="machine")
+def _crossed(a, b):
+    """Cross product of a and b (3)."""
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@kernel(inline="machine")
+def _dot(a, b):
+    """Scalar product of a and b."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@kernel(inline="machine")
+def _write_place(p, b, out):
+    """Write distance, radius and bearing of a position p into out[10:13], and b into out[15:18]."""
+    g = _crossed(p, b)
+    out[10] = np.sqrt(_dot(p, p))
+    out[11] = np.sqrt(p[0] * p[0] + p[1] * p[1])
+    out[12] = np.arctan2(np.sqrt(_dot(g, g)), -_dot(p, b))
+    for a in range(3):
+        out[15 + a] = _pick(b, a)
+
+
+@kernel(inline="machine")
+def _place_rate(axis, x, v, w):
+    """Rate of distance (axis 7), radius (8) or bearing (9) at a row x of `displacement`.
+
+    v is the velocity of p, w the angular velocity of b.
+    """
+    p, b, distance, radius = (x[3], x[4], x[5]), (x[15], x[16], x[17]), x[10], x[11]
+    if axis == 8:
+        return (p[0] * v[0] + p[1] * v[1]) / radius if radius > 0.0 else 0.0
+    if distance == 0.0:
+        return 0.0
+    along = _dot(p, v) / distance
+    if axis == 7:
+        return along
+    g = _crossed(p, b)
+    across = np.sqrt(_dot(g, g))
+    return (
+        (_dot(v, b) - along * _dot(p, b) / distance - _dot(g, w)) / across if across > 0.0 else 0.0
+    )
 
 
 @kernel
@@ -302,24 +357,27 @@ def residual(regions, q, link_rotation, link_translation, out, displacement):
         link_rotation: (p, 3, 3) by `forward_kinematics`.
         link_translation: (p, 3) by `forward_kinematics` [m].
         out: (m,), written: F [m, rad].
-        displacement: (k, 12), written for `jacobian`: end point in the world, position and rotation
-            vector of each region; where it bounds the tilt, also the tilt and x and y of c / |c|.
+        displacement: (k, 18), written for `jacobian`: end point in the world and x of each region,
+            x and y of c / |c|, and b. Of x, tilt, distance, radius and bearing are written where
+            they are bounded; the rotation vector is 0 where only these are.
     """
     m = regions.region.shape[0]
     first, square = 0, 0.0
     for k in range(regions.link.shape[0]):
         end, position, columns = _displacement(regions, k, link_rotation, link_translation)
-        tilts, turns = _orientation_rows(regions, k, first)
+        tilts, turns, places = _kinds_of_rows(regions, k, first)
         vector = (0.0, 0.0, 0.0)
-        if turns or not tilts:
+        if turns or not (tilts or places):
             vector = rotation_vector(columns[0], columns[1], columns[2])
         if tilts:
             x, y, z = columns[2]
             sine = np.sqrt(x * x + y * y)
             scale = 1.0 / sine if sine > 0.0 else 0.0
             displacement[k, 9] = np.arctan2(sine, z)
-            displacement[k, 10] = -scale * y
-            displacement[k, 11] = scale * x
+            displacement[k, 13] = -scale * y
+            displacement[k, 14] = scale * x
+        if places:
+            _write_place(position, columns[2], displacement[k])
         for a in range(3):
             displacement[k, a] = _pick(end, a)
             displacement[k, 3 + a] = _pick(position, a)
@@ -350,7 +408,7 @@ def _log_map_rate(vector, factor, square, w):
 def jacobian(
     kinematics, regions, q, link_rotation, link_translation, displacement, full, out_of_bounds, out
 ):
-    """Write J = dF/dq (m, n) into out: of v_j, Jl^-1(e) w_j and c . w_j / |c| for each joint j.
+    """Write J = dF/dq (m, n) into out: of v_j, Jl^-1(e) w_j, c . w_j / |c| ... for each joint j.
 
     v_j and w_j are the velocity and angular velocity of the end frame against the reference. Joints
     that mimic a planned joint come last; they are added to its column.
@@ -361,7 +419,7 @@ def jacobian(
         q: (n,) [rad or m].
         link_rotation: (p, 3, 3) by `forward_kinematics`.
         link_translation: (p, 3) by `forward_kinematics` [m].
-        displacement: (k, 12), written by `residual` for the same link poses.
+        displacement: (k, 18), written by `residual` for the same link poses.
         full: rows inside their bounds keep the derivative of x instead of zero (the full-rank form
             that tangent-space planners need).
         out_of_bounds: (m,), F written by `residual`.
@@ -384,7 +442,8 @@ def jacobian(
         end = displacement[k, 0], displacement[k, 1], displacement[k, 2]
         vector = displacement[k, 6], displacement[k, 7], displacement[k, 8]
         factor, square = log_map_factor(vector)
-        bounds_position = regions.axis[first] < 3  # rows of a region are sorted by axis
+        # rows of a region are sorted by axis
+        bounds_position = regions.axis[first] < 3 or regions.axis[last - 1] > 6
         for place in range(kinematics.order.shape[0]):
             joint = kinematics.order[place]
             j = kinematics.entry[joint]
@@ -397,7 +456,9 @@ def jacobian(
                 if out_of_bounds[row] == 0.0 and not full:
                     value = 0.0
                 elif axis == 6:
-                    value = displacement[k, 10] * w[0] + displacement[k, 11] * w[1]
+                    value = displacement[k, 13] * w[0] + displacement[k, 14] * w[1]
+                elif axis > 6:
+                    value = _place_rate(axis, displacement[k], v, w)
                 else:
                     value = _pick(v, axis) if axis < 3 else _pick(rate, axis - 3)
                 if place < n:
@@ -419,7 +480,7 @@ def batch_residual_and_jacobian(
     full: bool,
     rotation: Annotated[np.ndarray, "p 3 3"],
     translation: Annotated[np.ndarray, "p 3"],
-    displacement: Annotated[np.ndarray, "k 12"],
+    displacement: Annotated[np.ndarray, "k 18"],
     residuals: Annotated[np.ndarray, "count m"],
     jacobians: Annotated[np.ndarray, "count m n"],
 ):
@@ -432,7 +493,7 @@ def batch_residual_and_jacobian(
         full: see `jacobian`.
         rotation: (p, 3, 3) work array.
         translation: (p, 3) work array.
-        displacement: (k, 12) work array.
+        displacement: (k, 18) work array.
         residuals: (b, m), written: F [m, rad].
         jacobians: (b, m, n), written: dF/dq.
     """

@@ -16,7 +16,7 @@ class BoundUse:
     """Largest use of one entry's bounds along a path."""
 
     region: int  # index of the region, from 0
-    row: int  # row of its `bounds`, 0 to 6
+    row: int  # row of its `bounds`, 0 to 9
     value: float  # displacement closest to a bound, or furthest beyond it [m] or [rad]
     lower: float  # lower bound, -inf where there is none [m] or [rad]
     upper: float  # upper bound, inf where there is none [m] or [rad]
@@ -29,15 +29,19 @@ class BoundUse:
     @property
     def unit(self) -> str:
         """Unit of value and bounds."""
-        return UNITS[self.row]
+        return str(UNITS[self.row])
 
     def __str__(self) -> str:
         """Return the use in words: "rotation about y 0.071 of 0.100 rad"."""
         if self.lower == -self.upper:
             return f"{ROWS[self.row]} {abs(self.value):.3g} of {self.upper:.3g} {self.unit}"
-        return (
-            f"{ROWS[self.row]} {self.value:.3g} of {self.lower:.3g} to {self.upper:.3g} {self.unit}"
-        )
+        lower = shown_lower(self.row, self.lower)
+        return f"{ROWS[self.row]} {self.value:.3g} of {lower:.3g} to {self.upper:.3g} {self.unit}"
+
+
+def shown_lower(row: int, lower: float) -> float:
+    """Return the lower bound of a row of `bounds` as it is shown: rows from 6 are not negative."""
+    return max(lower, 0.0) if row >= 6 else lower
 
 
 def bounds_text(regions: Sequence[TaskSpaceRegion]) -> str:
@@ -47,7 +51,7 @@ def bounds_text(regions: Sequence[TaskSpaceRegion]) -> str:
         bounds = [(row, *region.bounds[row]) for row in region.bounded_rows]
         texts.append(
             ", ".join(
-                f"{ROWS[k]} {max(low, 0.0) if k == 6 else low:g} to {high:g} {UNITS[k]}"
+                f"{ROWS[k]} {shown_lower(k, low):g} to {high:g} {UNITS[k]}"
                 for k, low, high in bounds
             )
         )
@@ -69,33 +73,36 @@ def bound_usage(
 
 
 def displacements(robot: Robot, region: TaskSpaceRegion, states: np.ndarray) -> np.ndarray:
-    """Return displacements x (m, 7) of the end effector at states (m, n), see `bounds` [m, rad]."""
+    """Return displacements x (m, 10) of frame e at states (m, n), see `bounds` [m, rad]."""
     poses = robot.poses(states, region.end_effector)
     return displaced(region, poses, region.reference_poses(robot, states))
 
 
 def displaced(region: TaskSpaceRegion, poses: np.ndarray, references: np.ndarray) -> np.ndarray:
-    """Return displacements (m, 7): x = (t, Log R, tilt of R) of T = (T0_w)^-1 T0_e (Tw_e)^-1.
+    """Return displacements (m, 10): x of T = (T0_w)^-1 T0_e (Tw_e)^-1, see `TaskSpaceRegion`.
 
     Args:
         region: the region.
-        poses: T0_e (m, 4, 4) of the end effector [m].
+        poses: T0_e (m, 4, 4) of frame e [m].
         references: T0_w (1 or m, 4, 4) of the region's frame [m].
     """
     T = np.linalg.inv(references) @ poses @ np.linalg.inv(region.Tw_e)
-    R = T[:, :3, :3]
-    return np.column_stack([T[:, :3, 3], rotation_vectors(R), tilts(R)])
+    R, t = T[:, :3, :3], T[:, :3, 3]
+    radius, axis = np.hypot(t[:, 0], t[:, 1]), R[:, :, 2]
+    off_axis = np.linalg.norm(np.cross(t, axis), axis=1)
+    places = np.hypot(radius, t[:, 2]), radius, np.arctan2(off_axis, -(t * axis).sum(axis=1))
+    return np.column_stack([t, rotation_vectors(R), tilts(R), *places])
 
 
 def excess(region: TaskSpaceRegion, x: np.ndarray) -> np.ndarray:
-    """Return max(lower - x, x - upper) of displacements x (m, 7), negative inside; -inf if free."""
+    """Return max(lower - x, x - upper) of displacements x (m, 10), negative inside; -inf: free."""
     lower, upper = region.bounds.T
-    bounded = np.isin(np.arange(7), region.bounded_rows)
+    bounded = np.isin(np.arange(len(ROWS)), region.bounded_rows)
     return np.where(bounded, np.maximum(lower - x, x - upper), -np.inf)
 
 
 def broken_bound(region: TaskSpaceRegion, x: np.ndarray) -> str:
-    """Return the bound that the best of displacements x (m, 7) violates most, in words, or ""."""
+    """Return the bound that the best of displacements x (m, 10) violates most, in words, or ""."""
     beyond = excess(region, x)
     k = int(beyond.max(axis=1).argmin())
     if beyond[k].max() <= PROJECTION_TOLERANCE:
@@ -110,6 +117,10 @@ def broken_bound(region: TaskSpaceRegion, x: np.ndarray) -> str:
         (3, 4, 5): "fixed-orientation",
         (2,): "plane",
         (0, 1): "line",
+        (7,): "distance",
+        (8,): "on-cylinder",
+        (9,): "look-at",
+        (7, 9): "look-at",
         (0, 1, 2, 3, 4, 5): "pose",
         (0, 1, 2, 5, 6): "pose",
     }

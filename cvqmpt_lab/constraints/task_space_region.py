@@ -12,7 +12,15 @@ import numpy as np
 from cvqmpt_lab.base.codec import Checked
 from cvqmpt_lab.base.errors import InvalidInputError, shown
 from cvqmpt_lab.base.poses import Pose, rigid, rotation_matrices, tilts
-from cvqmpt_lab.base.values import FULL_TURN_RAD, Angle, FloatArray, Name, frozen, numbers
+from cvqmpt_lab.base.values import (
+    FULL_TURN_RAD,
+    Angle,
+    Condition,
+    FloatArray,
+    Name,
+    frozen,
+    numbers,
+)
 from cvqmpt_lab.robot.robot import Robot
 
 Axis = Literal["x", "-x", "y", "-y", "z", "-z"]
@@ -23,8 +31,11 @@ ROWS = (
     *(f"position {axis}" for axis in "xyz"),
     *(f"rotation about {axis}" for axis in "xyz"),
     "tilt",
+    "distance",
+    "radius",
+    "bearing",
 )
-UNITS = ("m",) * 3 + ("rad",) * 4
+UNITS = np.array([*["m"] * 3, *["rad"] * 4, "m", "m", "rad"], dtype=object)
 ROWS_TEXT = (
     "6 rows [lower, upper]: position x, y, z [m], rotation vector x, y, z [rad]; null = free"
 )
@@ -68,15 +79,20 @@ class BoundsForm:
 
 
 Bounds = Annotated[FloatArray, BoundsForm()]
+Tolerance = Annotated[float, Condition(float, lambda x: x >= 0.0, "0 or more")]
+Span = tuple[Tolerance, Tolerance | None]  # lower and upper bound; None: no upper bound
 
 
 @dataclass(frozen=True, eq=False)
 class TaskSpaceRegion(Checked):
-    """Poses T0_e of the end effector whose displacement x from a frame w lies within bounds.
+    """Poses T0_e of a frame e whose displacement x from a frame w lies within bounds.
 
-    lower <= x <= upper, x = (t, Log R, tilt), with t, R the parts of (T0_w)^-1 T0_e (Tw_e)^-1.
-    The tilt is the angle between the z axes of w and of the displaced frame, (0, 0, 1) and R z. A
-    bound of 0 becomes rotation about x and y of 0: the same poses, and smooth there.
+    lower <= x <= upper, x = (t, Log R, tilt, distance, radius, bearing), with t, R the parts of
+    (T0_w)^-1 T0_e (Tw_e)^-1. The tilt is the angle between the z axes of w and of the displaced
+    frame, (0, 0, 1) and R z. A bound of 0 becomes rotation about x and y of 0: the same poses, and
+    smooth there. The distance is |t|, the radius |(t_x, t_y)|, the distance from the z axis of w.
+    The bearing is the angle between the z axis of the displaced frame and the line from its origin
+    to the origin of w: how far off its axis e sees that point.
     """
 
     T0_w: Pose  # (4, 4), pose of w in the world
@@ -86,10 +102,26 @@ class TaskSpaceRegion(Checked):
     Bw: Bounds
     # upper bound of the tilt [rad], a cone; None, or pi and more, leaves it free
     tilt: Angle | None = field(default=None, kw_only=True)
-    # frame e, one of the robot's end effectors; None: its first
+    # lower and upper bound of the distance of the displaced origin from that of w [m]; None: free
+    distance: Span | None = field(default=None, kw_only=True)
+    # lower and upper bound of its distance from the z axis of w [m]; None: free
+    radius: Span | None = field(default=None, kw_only=True)
+    # upper bound of the bearing [rad]; None, or pi and more, leaves it free
+    bearing: Angle | None = field(default=None, kw_only=True)
+    # frame e: an end effector or another body frame of the robot; None: its first end effector
     end_effector: Name | None = field(default=None, kw_only=True)
 
     def _check(self) -> None:
+        for name, span in (("distance", self.distance), ("radius", self.radius)):
+            if span is not None and span[1] is not None and not 0.0 < span[1] >= span[0]:
+                raise InvalidInputError(
+                    f"{name} is {shown(list(span))}; it must be [lower, upper] with lower <= upper "
+                    "and 0 < upper [m]; null = free; bounds Bw of 0 keep a point"
+                )
+        if self.bearing == 0.0:
+            raise InvalidInputError(
+                "bearing is 0, where it is not smooth; give a small angle, such as 0.01 [rad]"
+            )
         if self.tilt != 0.0:
             return
         Bw = self.Bw.copy()
@@ -107,7 +139,13 @@ class TaskSpaceRegion(Checked):
 
         InvalidInputError or UnknownChoiceError: the robot has no such frames.
         """
-        return (0, self.T0_w), robot.hand(self.end_effector)
+        row, T_link_e = robot.frame(self.end_effector)
+        if not robot.kinematics.moves[:, row].any():
+            raise InvalidInputError(
+                f"frame {self.end_effector!r} stands still: none of the planned joints "
+                f"({', '.join(robot.joint_names)}) moves it; name another frame"
+            )
+        return (0, self.T0_w), (row, T_link_e)
 
     def reference_poses(self, robot: Robot, q: np.ndarray) -> np.ndarray:
         """Return T_world_w (k, 4, 4) at q (k, n) by pinocchio; (1, 4, 4) if w does not move."""
@@ -115,36 +153,51 @@ class TaskSpaceRegion(Checked):
 
     @cached_property
     def bounds(self) -> np.ndarray:
-        """Lower and upper bounds (7, 2) of the displacement x: `Bw` and of the tilt [m, rad]."""
-        tilt = FREE if self.tilt is None else self.tilt
-        return frozen(np.vstack([self.Bw, (-tilt, tilt)]))
+        """Lower and upper bounds (10, 2) of the displacement x, +-inf where it is free [m, rad]."""
+        tilt, bearing = (FREE if it is None else it for it in (self.tilt, self.bearing))
+        spans = [
+            (lower or -FREE, FREE if upper is None else upper)
+            for lower, upper in (self.distance or (0.0, None), self.radius or (0.0, None))
+        ]
+        return frozen(np.vstack([self.Bw, (-tilt, tilt), *spans, (-bearing, bearing)]))
 
     @cached_property
     def bounded_rows(self) -> np.ndarray:
         """Indices (m,) of the entries of x that can be out of bounds."""
         lower, upper = self.bounds.T
-        limit = np.array([np.inf] * 3 + [np.pi] * 4)
+        limit = np.where(UNITS == "m", np.inf, np.pi)
         return frozen(np.flatnonzero((lower > -limit) | (upper < limit)))
 
     @property
     def wide(self) -> np.ndarray:
-        """Return which rows (7,) of `bounds` have a positive width; the others fix an entry."""
+        """Return which rows (10,) of `bounds` have a positive width; the others fix an entry."""
         return self.bounds[:, 0] < self.bounds[:, 1]
 
     def inset(self, metres: float, radians: float, share: float = 0.4) -> Self:
         """Return the region with bounds moved inwards; rows of width 0 stay.
 
         Args:
-            metres: by which position bounds are moved [m].
-            radians: by which rotation and tilt bounds are moved [rad].
+            metres: by which bounds of position, distance and radius are moved [m].
+            radians: by which bounds of rotation, tilt and bearing are moved [rad].
             share: largest share of the width of a row by which its bound is moved.
         """
         lower, upper = self.bounds.T
         width = np.where(np.isinf(lower) | np.isinf(upper), FREE, upper - lower)
-        inside = np.minimum(np.repeat([metres, radians], (3, 4)), share * width)
-        Bw = np.column_stack([lower + inside, upper - inside])[:6]
-        tilt = None if self.tilt is None else float(self.tilt - inside[6])
-        return self.changed(Bw=frozen(Bw), tilt=tilt)
+        inside = np.minimum(np.where(UNITS == "m", metres, radians), share * width)
+        moved = np.column_stack([lower + inside, upper - inside])
+        tilt, bearing = (
+            None if given is None else float(given - inside[row])
+            for given, row in ((self.tilt, 6), (self.bearing, 9))
+        )
+        distance, radius = (
+            None if given is None else (max(0.0, low), None if given[1] is None else high)
+            for given, (low, high) in zip(
+                (self.distance, self.radius), moved[7:9].tolist(), strict=True
+            )
+        )
+        return self.changed(
+            Bw=frozen(moved[:6]), tilt=tilt, distance=distance, radius=radius, bearing=bearing
+        )
 
     def sample_poses(self, rng: np.random.Generator, count: int) -> np.ndarray:
         """Draw poses T0_w T(x) Tw_e (count, 4, 4), x uniform in the bounds, free rotations in +-pi.
@@ -153,6 +206,11 @@ class TaskSpaceRegion(Checked):
         sin(b / 2) = h sin(t / 2) / t >= h / pi. Candidates are drawn in a box.
         """
         lower, upper = self.Bw.T.copy()
+        if any(it is not None for it in (self.distance, self.radius, self.bearing)):
+            raise InvalidInputError(
+                "cannot sample poses of a distance, radius or bearing: give it as a constraint, "
+                "and a region with bounds Bw, such as a pose, beside it"
+            )
         if np.isinf(self.Bw[:3]).any():
             raise InvalidInputError(
                 "cannot sample poses: the position is unbounded: bound Bw rows 0-2"
@@ -207,7 +265,7 @@ class TaskSpaceRegionChain(TaskSpaceRegion):
             raise InvalidInputError(
                 f'base {self.base!r} is moved by the planned joints: leave out "fixed": true'
             )
-        link, T_link_e = robot.hand(self.end_effector)
+        link, T_link_e = robot.frame(self.end_effector)
         moves = robot.kinematics.moves
         if (moves[:, row] == moves[:, link]).all():
             raise InvalidInputError(
@@ -227,6 +285,9 @@ class TaskSpaceRegionChain(TaskSpaceRegion):
             self.Tw_e,
             self.Bw,
             tilt=self.tilt,
+            distance=self.distance,
+            radius=self.radius,
+            bearing=self.bearing,
             end_effector=self.end_effector,
         )
 

@@ -15,6 +15,7 @@ from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.base.files import finite
 from cvqmpt_lab.certificate.certificate import CERTIFICATE_TOLERANCE
 from cvqmpt_lab.constraints.report import displacements, excess
+from cvqmpt_lab.constraints.task_space_region import UNITS
 from cvqmpt_lab.execution.mjcf import LOAD_BODY, Physics
 from cvqmpt_lab.execution.simulation import (
     GRIP_FORCE_N,
@@ -381,8 +382,8 @@ def _judged(
         for region in problem.constraint:
             x = displacements(problem.robot, region, executed)
             beyond = np.where(region.wide, excess(region, x), 0.0).max(axis=0)
-            outside = np.maximum(outside, (beyond[3:].max(), beyond[:3].max()))
-            rows = [k for k in region.bounded_rows if region.wide[k] and k >= 3]
+            outside = np.maximum(outside, [beyond[unit == UNITS].max() for unit in ("rad", "m")])
+            rows = [k for k in region.bounded_rows if region.wide[k] and 3 <= k <= 6]
             if rows:
                 tilt = float(np.nanmax([tilt, np.abs(x[:, rows]).max()]))
     scene, first = world.scene, world.samples[0]

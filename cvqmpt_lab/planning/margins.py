@@ -10,6 +10,7 @@ from cvqmpt_lab.certificate.certificate import deviation_tolerated
 from cvqmpt_lab.constraints.goals import Goals, goals_of
 from cvqmpt_lab.constraints.project import PROJECTION_TOLERANCE
 from cvqmpt_lab.constraints.report import displacements, excess
+from cvqmpt_lab.constraints.task_space_region import UNITS
 from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.planning.solution import Solution
 from cvqmpt_lab.problem import PlanningProblem
@@ -21,7 +22,7 @@ class Margin(NamedTuple):
     """Margin for tracking error of the robot and its hand."""
 
     metres: float = 0.002  # distance to obstacles and to bounds of position [m]
-    radians: float = 0.005  # distance to bounds of rotation and tilt [rad]
+    radians: float = 0.005  # distance to bounds of rotation, tilt and bearing [rad]
 
     def check(self) -> Self:
         """Return this margin; refuse one below 0, above 0.1 m or above 0.2 rad."""
@@ -75,13 +76,14 @@ def with_margin(
 
 def _slack(problem: PlanningProblem, states: np.ndarray) -> tuple[float, float]:
     """Return the largest slack [rad] and [m] of states (k, n) in bounds of positive width."""
-    slack = np.full((len(states), 7), np.inf)
+    slack = np.full((len(states), len(UNITS)), np.inf)
     for region in problem.constraint:
         inside = -excess(region, displacements(problem.robot, region, states))
         # projected states may be outside of bounds by the tolerance
         inside = (inside - PROJECTION_TOLERANCE).clip(min=0.0)
         slack = np.minimum(slack, np.where(region.wide, inside, np.inf))
-    return float(slack[:, 3:].min(axis=1).max()), float(slack[:, :3].min(axis=1).max())
+    radians, metres = (float(slack[:, unit == UNITS].min(axis=1).max()) for unit in ("rad", "m"))
+    return radians, metres
 
 
 def solve_with_margin(

@@ -249,6 +249,12 @@ class Robot:
         require_choice(f"end effector of robot {self.name}", name, self.end_effectors)
         return self.end_effectors[name]
 
+    def frame(self, name: str | None = None) -> tuple[int, np.ndarray]:
+        """Return what `hand` and `link_of` return, of an end effector or any other body frame."""
+        if name is None or name in self.end_effectors or name not in self.frame_names:
+            return self.hand(name)
+        return self.link_of(name)
+
     @property
     def dof(self) -> int:
         """Number of planned joints n."""
@@ -373,8 +379,8 @@ class Robot:
         return digest.hexdigest()[:32]
 
     @cached_property
-    def reach(self) -> float:
-        """Radius [m] of a ball around the base that contains all moving links and end effectors.
+    def farthest(self) -> np.ndarray:
+        """Largest distance (p,) of the origin of each pose row from the base [m].
 
         The origin of joint j is at most |t_j| farther from the base than its parent's origin, for
         a prismatic joint |t_j| and its largest value.
@@ -383,6 +389,12 @@ class Robot:
         distance = np.zeros(len(k.parent) + 1)
         for j in range(len(k.parent)):
             distance[j + 1] = distance[k.parent[j]] + np.linalg.norm(k.translation[j]) + slides[j]
+        return frozen(distance)
+
+    @cached_property
+    def reach(self) -> float:
+        """Radius [m] of a ball around the base that contains all moving links and end effectors."""
+        distance = self.farthest
         ends = [distance[row] + np.linalg.norm(T[:3, 3]) for row, T in self.end_effectors.values()]
         ends += [
             distance[piece.link] + np.linalg.norm(piece.vertices_in_link, axis=1).max()

@@ -218,7 +218,7 @@ def free_rows(space: ConstrainedSpace, wide: float = 1.0) -> np.ndarray:
     if space.constraint is None:
         return np.empty((0, 2), dtype=np.int64)
     regions = space.constraint.inner_regions()
-    width = np.full((len(regions.link), 7), np.inf)
+    width = np.full((len(regions.link), 10), np.inf)
     rows = regions.axis >= 0  # not those of functions
     width[regions.region[rows], regions.axis[rows]] = (regions.upper - regions.lower)[rows]
     # compiled code needs rows that lie one after the other in memory

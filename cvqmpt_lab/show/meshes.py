@@ -211,7 +211,7 @@ def constraint_marks(
             T[:3, 3] += R @ (0.5 * (low + high))
             yield shape_mesh(Box((x, y, z))).placed(T)
         turning = [2] if 6 in rows else [k for k in range(3) if k + 3 not in rows]
-        leaning = [6] if 6 in rows else [k for k in rows if k > 2]
+        leaning = [6] if 6 in rows else [k for k in rows if 2 < k < 6]
         tilt = float(np.abs(region.bounds[leaning]).max(initial=0.0))
         if len(turning) == 1 and tilt < widest:
             for T in T_world_w[[0, -1]]:

@@ -116,7 +116,8 @@ def test_a_bound_on_one_side_names_the_state_closest_to_it(panda):
     assert str(use) == f"position z {lowest:.3g} of 0 to inf m"
     beside = TaskSpaceRegion(panda.pose(HOME) @ pose((0.1, 0.0, 0.0)), np.eye(4), np.zeros((6, 2)))
     found = displacements(panda, beside, HOME[None])[0]
-    np.testing.assert_allclose(found, [-0.1, 0, 0, 0, 0, 0, 0], atol=1e-12)
+    ahead = 0.5 * np.pi  # of the hand: its z axis points down
+    np.testing.assert_allclose(found, [-0.1, *[0.0] * 6, 0.1, 0.1, ahead], atol=1e-12)
 
 
 pairs = st.integers(0, ARMS - 1).map(two_armed)
@@ -149,13 +150,19 @@ def test_F_is_what_pinocchio_says_and_J_is_its_slope(robot, seed):
     q = robot.random_configurations(rng, 1)[0]
     T0_w, Tw_e = pose(rng.uniform(-0.3, 0.3, 3)), pose(rng.uniform(-0.3, 0.3, 3))
     T0_w[:3, :3], Tw_e[:3, :3] = Rotation.random(2, random_state=rng).as_matrix()
-    region = chain(robot, T0_w, Tw_e, Bw=np.tile((-WIDTH, WIDTH), (6, 1)), tilt=WIDTH)
+    bounds = {"Bw": np.tile((-WIDTH, WIDTH), (6, 1)), "tilt": WIDTH, "bearing": WIDTH}
+    bounds |= {"distance": (5.0, None), "radius": (0.0, WIDTH)}
+    region = chain(robot, T0_w, Tw_e, **bounds)
     F, J = RegionConstraint(robot, (region,)).residual_and_jacobian(q, full=True)
     displaced = np.linalg.inv(T0_w) @ relative(robot, q[None])[0] @ np.linalg.inv(Tw_e)
     turn = Rotation.from_matrix(displaced[:3, :3]).as_rotvec()
     x = np.concatenate([displaced[:3, 3], turn, [np.arccos(displaced[2, 2].clip(-1.0, 1.0))]])
-    np.testing.assert_allclose(F, x - x.clip(-WIDTH, WIDTH), atol=1e-6)
-    if 0.1 < x[6] < 3.0 and np.linalg.norm(turn) < 3.0:  # where x is smooth
+    far, across = np.linalg.norm(x[:3]), np.linalg.norm(x[:2])
+    bearing = np.arccos((-x[:3] @ displaced[:3, 2] / far).clip(-1.0, 1.0))
+    x = np.array([*x, far, across, bearing])
+    np.testing.assert_allclose(F, x - x.clip(*region.bounds.T), atol=1e-6)
+    # where x is smooth
+    if 0.1 < x[6] < 3.0 and np.linalg.norm(turn) < 3.0 and across > 0.05 and 0.1 < bearing < 3.0:
         near = q + 1e-6 * np.concatenate([np.eye(robot.dof), -np.eye(robot.dof)])
         forward, back = np.split(displacements(robot, region, near), 2)
         np.testing.assert_allclose(J, (forward - back).T / 2e-6, atol=2e-4)

@@ -1,5 +1,7 @@
 """Regions and chains against pinocchio and scipy: residual, logarithm, sampling, names."""
 
+import json
+
 import numpy as np
 import pytest
 from refusals import refused
@@ -46,7 +48,8 @@ def random_pose(rng, spread=0.5):
 def random_region(rng, base=None):
     """Return a region with random frames and bounds.
 
-    A third of the rows are free or bounded on one side only; every second region bounds the tilt.
+    A third of the rows are free or bounded on one side only; every second region bounds the tilt,
+    and every second one distance, radius and bearing.
     """
     centre, width = rng.uniform(-1, 1, 6), rng.uniform(0, 1, 6)
     Bw = np.stack([centre - width, centre + width], axis=1)
@@ -54,9 +57,13 @@ def random_region(rng, base=None):
     Bw[:, 0] = np.where(np.isinf(Bw[:, 0]), -np.inf, Bw[:, 0])
     frames = random_pose(rng), random_pose(rng)
     tilt = rng.uniform(0.1, 2.0) if rng.random() < 0.5 else None
+    more = {"tilt": tilt}
+    if rng.random() < 0.5:
+        more |= {"distance": (rng.uniform(0.0, 1.0), 1.0), "radius": (0.3, None)}
+        more["bearing"] = rng.uniform(0.1, 2.0)
     if base:
-        return TaskSpaceRegionChain(*frames, Bw, base, tilt=tilt)
-    return TaskSpaceRegion(*frames, Bw, tilt=tilt)
+        return TaskSpaceRegionChain(*frames, Bw, base, **more)
+    return TaskSpaceRegion(*frames, Bw, **more)
 
 
 def box(half, **changes):
@@ -66,21 +73,25 @@ def box(half, **changes):
 
 
 def displacement(region, T_world_e):
-    """Return position, rotation vector and tilt (7,) of a pose in a region, by the definition."""
+    """Return displacement x (10,) of a pose in a region, by the definition."""
     T = np.linalg.inv(region.T0_w) @ T_world_e @ np.linalg.inv(region.Tw_e)
     chord = np.linalg.norm(T[:3, 2] - (0.0, 0.0, 1.0))
     tilt = 2.0 * np.arcsin(min(0.5 * chord, 1.0))
-    return np.array([*T[:3, 3], *Rotation.from_matrix(T[:3, :3]).as_rotvec(), tilt])
+    d = np.linalg.norm(T[:3, 3])
+    chord = np.linalg.norm(T[:3, 2] + T[:3, 3] / max(d, 1e-12))
+    bearing = 2.0 * np.arcsin(min(0.5 * chord, 1.0)) if d > 0.0 else 0.0
+    turn = Rotation.from_matrix(T[:3, :3]).as_rotvec()
+    return np.array([*T[:3, 3], *turn, tilt, d, np.hypot(*T[:2, 3]), bearing])
 
 
 def of_hand(robot, region, q):
-    """Return the displacement (7,) of the hand at q in the base frame of the region."""
+    """Return the displacement (10,) of the hand at q in the base frame of the region."""
     base = robot.pose(q, region.base) if isinstance(region, TaskSpaceRegionChain) else np.eye(4)
     return displacement(region, np.linalg.inv(base) @ robot.pose(q))
 
 
 def outside(region, x):
-    """Return the signed violation of bounds by displacements (7,), for bounded rows only."""
+    """Return the signed violation of bounds by displacements (10,), for bounded rows only."""
     lower, upper = region.bounds.T
     return (np.minimum(x - lower, 0.0) + np.maximum(x - upper, 0.0))[region.bounded_rows]
 
@@ -285,3 +296,30 @@ def test_a_pose_may_leave_the_yaw_free():
     assert not inside(data, there @ turned((0, 0, 0), [0.1, 0, 0]))
     assert not inside(data, pose((0.0, 0.001, 0.0)) @ there)
     assert len(region({"pose": {"at": {"xyz": [0.4, 0, 0.6]}}}).bounded_rows) == 6
+
+
+def test_a_camera_looks_at_a_point_and_hands_stay_on_spheres_and_cylinders(panda):
+    """Each kind at the bound and beyond, also of a frame that is no hand."""
+    q = np.array([0.3, -0.5, 0.2, -2.0, 0.1, 1.8, 0.4])
+    for frame in ("panda_hand", "panda_link5"):
+        T = panda.pose(q, frame)
+        ahead, here = T[:3, 2], T[:3, 3]
+        point = (here + 0.4 * ahead + 0.04 * T[:3, 0]).tolist()  # 0.1 rad off the axis
+        far = float(np.hypot(0.4, 0.04))
+        kinds = {
+            "look-at": {"point": point, "angle": np.arctan(0.1) + 1e-9, "distance": [far, None]},
+            "distance": {"bounds": [0.0, far - 1e-9], "point": point},
+            "on-sphere": {"centre": point, "radius": far},
+            "on-cylinder": {"direction": ahead.tolist(), "point": point, "radius": 0.04},
+        }
+        for name, fields in kinds.items():
+            made = region({name: fields, "end_effector": frame})
+            F = RegionConstraint(panda, (made,)).residual(np.array([q, q + 0.02, q - 0.02]))
+            assert np.abs(F[0]).max() < 1e-8 < 1e-4 < np.abs(F[1:]).max()
+            again = region(json.loads(json.dumps(to_plain(made))))
+            assert again == made and made.inset(1e-4, 1e-4).bounded_rows.tolist()
+    refused("cannot sample poses of a distance", made.sample_poses, np.random.default_rng(0), 1)
+    refused(r"look-at: bearing is 0", region, {"look-at": {"point": point, "angle": 0.0}})
+    refused("distance is .*lower <= upper", region, {"distance": [0.5, 0.4]})
+    still = box(1.0, end_effector="panda_link0")
+    refused("'panda_link0' stands still", still.links, panda)
