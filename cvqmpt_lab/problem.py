@@ -41,7 +41,7 @@ from cvqmpt_lab.collision.carried import reach_with
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.goals import SAMPLE_MARGIN_M, find_in_region
 from cvqmpt_lab.constraints.holding import really_held
-from cvqmpt_lab.constraints.named import Region, upper_axis
+from cvqmpt_lab.constraints.named import Region
 from cvqmpt_lab.constraints.project import PROJECTION_TOLERANCE
 from cvqmpt_lab.constraints.region_constraint import RegionConstraint
 from cvqmpt_lab.constraints.report import bounds_text, broken_bound, displacements
@@ -261,6 +261,7 @@ class PlanningProblem(Document):
             self.robot, self.start_region, checker, rng, count=1, within=self.constraint
         )
         if len(found.configurations) == 0:
+            check_extent(self.scene, reach_with(self.robot, self.attachments))
             from cvqmpt_lab.constraints.no_goal import why_none  # for errors alone
 
             why = why_none(self.robot, self.start_region, checker, self.constraint)
@@ -440,19 +441,15 @@ def _off_manifold(
         label: name of the start or goal.
         q: its configuration (n,) [rad or m].
     """
+    from cvqmpt_lab.constraints.no_goal import contradiction, other_axis  # for errors alone
+
     states, broken = q[None], f"{label} breaks"
     cure = "`cvqmpt ik` finds configurations that keep the constraint"
     if label == "start":
         cure += ", --project-start moves this one onto it"
         for k, region in enumerate(problem.constraint):
-            if region.bounded_rows.tolist() == [6]:
-                T = problem.robot.pose(q, region.end_effector)
-                up, wanted = upper_axis(T), upper_axis(region.T0_w @ region.Tw_e)
-                if up != wanted:
-                    at = f"constraint[{k}]"
-                    cure = f"axis {up} of the hand points up there, not {wanted}: write " + (
-                        f'"axis": "{up}" in {at}, or choose another start'
-                    )
+            if axis := other_axis(region, problem.robot.pose(q, region.end_effector)):
+                cure = f"{axis} in constraint[{k}], or choose another start"
     if label != "start" and problem.goal_region is not None:
         residuals = np.linalg.norm(problem.manifold.residual(goals), axis=1)
         if residuals.min() > PROJECTION_TOLERANCE:
@@ -465,8 +462,6 @@ def _off_manifold(
         broken_bound(region, displacements(problem.robot, region, states))
         for region in problem.constraint
     ]
-    from cvqmpt_lab.constraints.no_goal import contradiction  # for errors alone
-
     if against := contradiction(problem.robot, problem.constraint):
         cure = f"{against}; move, widen or leave out a region"
     off = np.linalg.norm(problem.manifold.residual(states), axis=1).min()

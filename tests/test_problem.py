@@ -11,6 +11,7 @@ from refusals import DATA, refused
 from cvqmpt_lab.base.errors import InvalidProblemError
 from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.benchmarks.place_task import door_problem, place_problem
+from cvqmpt_lab.cli.problem_options import pose_region
 from cvqmpt_lab.collision.arrays import robot_arrays, robot_swing, scene_arrays
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, upright
 from cvqmpt_lab.planning.pipeline import with_drawn_goals
@@ -67,6 +68,16 @@ def test_the_reasons_why_there_is_no_goal_are_named(problem):
     quarter = pose((0, 0, 0))[:, [2, 1, 0, 3]] * [1, 1, -1, 1]  # a turn about y
     tilted = at_goal @ quarter
     assert re.search(r"every pose breaks `upright-box` by .*it tilts by \d\d°\)", why(tilted))
+    down = pose((0.75, 0.0, 0.6))
+    down[:3, :3] = np.diag([1.0, -1.0, -1.0])
+    said = why(down, constraint=(), scene=Scene("none", ()))
+    told = r"with another orientation, .* nearest one found, (\d+) deg from it: (\S+)$"
+    angle, typed = re.search(told, said).groups()
+    assert int(angle) <= 20 and "another orientation" not in why(
+        pose_region("--goal-pose", typed).T0_w, constraint=(), scene=Scene("none", ())
+    )
+    flat = why(at_goal, constraint=(upright(0.1, "z"),))
+    assert re.search(r'axis -?[xy] of the hand points up there, not z: write "axis": "', flat)
     goals = problem.goals[:3].copy()
     goals[:, 6] += np.where(goals[:, 6] < 0, 0.4, -0.4)
     bounds = np.array([[-3.0, 3.0]] * 3 + [[-np.pi, np.pi]] * 3)

@@ -6,14 +6,17 @@ from itertools import combinations
 
 import numpy as np
 
+from cvqmpt_lab.base.poses import Placement, rotation_vectors
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.goals import (
     POSE_TOLERANCE,
     POSES_AT_ONCE,
     first_guesses,
     has_fewer_than_6_dof,
+    one_pose,
     solve_poses,
 )
+from cvqmpt_lab.constraints.named import rpy_of, upper_axis
 from cvqmpt_lab.constraints.project import (
     PROJECTION_STEPS,
     PROJECTION_TOLERANCE,
@@ -51,7 +54,7 @@ def why_none(
         chains = [member for member in constraint if isinstance(member, TaskSpaceRegionChain)]
         reasons += [_open_chain(robot, region, member, rng) for member in chains]
     if len(missed) and not any(reasons):
-        reasons.append(_reach(robot, region, missed, rng))
+        reasons.append(_reach(robot, region, missed, rng, checker, constraint))
     for member in constraint:
         # few drawn poses say nothing of turns that are all free, nor of the other hand
         if (
@@ -60,10 +63,18 @@ def why_none(
             and robot.frame(member.end_effector) is robot.hand(region.end_effector)
         ):
             broken = broken_bound(member, displaced(member, T, member.T0_w[None]))
-            reasons += [f"every pose breaks {broken}"] if broken else []
+            reasons += [f"every pose breaks {broken}", other_axis(member, T[0])] if broken else []
     reasons.append(_collisions(checker, np.concatenate(found)))
     said = "; ".join(filter(None, reasons)) or contradiction(robot, constraint)
     return said or _apart(robot, (region, *constraint), rng)
+
+
+def other_axis(member: TaskSpaceRegion, T: np.ndarray) -> str:
+    """Return the axis to write if not that of `upright` is up at a pose T (4, 4), else ""."""
+    up, wanted = upper_axis(T), upper_axis(member.T0_w @ member.Tw_e)
+    if member.bounded_rows.tolist() not in ([6], [3, 4]) or up == wanted:
+        return ""
+    return f'axis {up} of the hand points up there, not {wanted}: write "axis": "{up}"'
 
 
 def _apart(robot: Robot, members: Sequence[TaskSpaceRegion], rng: np.random.Generator) -> str:
@@ -139,8 +150,24 @@ def contradiction(robot: Robot, constraint: Sequence[TaskSpaceRegion], tries: in
     return ""
 
 
-def _reach(robot: Robot, region: TaskSpaceRegion, T: np.ndarray, rng: np.random.Generator) -> str:
-    """Compare the distance of unreachable poses T (k, 4, 4) with the reach of the hand."""
+def _reach(
+    robot: Robot,
+    region: TaskSpaceRegion,
+    T: np.ndarray,
+    rng: np.random.Generator,
+    checker: CollisionChecker,
+    constraint: Sequence[TaskSpaceRegion],
+) -> str:
+    """Compare the distance of unreachable poses with the reach of the hand.
+
+    Args:
+        robot: the robot.
+        region: poses of the end effector.
+        T: poses (k, 4, 4) of the region that are not reached [m].
+        rng: random numbers.
+        checker: of collisions.
+        constraint: regions that hold at the same time.
+    """
     first = int(robot.kinematics.moves[:, robot.hand(region.end_effector)[0]].argmax())
     reach = hand_reach(robot, region.end_effector)
     away = np.linalg.norm(T[:, :3, 3] - robot.kinematics.translation[first], axis=1)
@@ -149,22 +176,91 @@ def _reach(robot: Robot, region: TaskSpaceRegion, T: np.ndarray, rng: np.random.
             f"they lie {away.min():.2f} m or more from {robot.moving_joints[first]}, the hand "
             f"reaches {reach:.2f} m"
         )
-    turned = 0
-    anyhow = np.array([[0.0, 0.0]] * 3 + [[-FREE, FREE]] * 3)
+    turned = []
     for pose in T:
-        place = TaskSpaceRegion(pose, np.eye(4), anyhow, end_effector=region.end_effector)
-        manifold = RegionConstraint(robot, (place,))
-        guesses = first_guesses(robot, rng, 1)[0]
-        turned += any(manifold.project(q) is not None for q in guesses)
+        there = RegionConstraint(robot, (_anyhow(pose, region),))
+        ends = map(there.project, first_guesses(robot, rng, 1)[0])
+        found = [q for q in ends if q is not None]
+        turned += [(pose, np.array(found))] if found else []
     if turned:
+        nearest = _nearest_turned(robot, region, turned, checker, constraint)
         return (
-            f"{turned} of {len(T)} of their positions are reachable with another orientation, none "
-            "with the requested one"
+            f"{len(turned)} of {len(T)} of their positions are reachable with another orientation, "
+            f"none with the requested one{nearest}"
         )
     return (
         f"they lie from {away.min():.2f} m on from {robot.moving_joints[first]}, where the hand "
         f"reaches {reach:.2f} m, but the joint limits do not let it get there"
     )
+
+
+def _nearest_turned(
+    robot: Robot,
+    region: TaskSpaceRegion,
+    turned: Sequence[tuple[np.ndarray, np.ndarray]],
+    checker: CollisionChecker,
+    constraint: Sequence[TaskSpaceRegion],
+    starts: int = 6,
+    steps: int = 100,
+) -> str:
+    """Return the pose that is turned least among those found, as text to type; "" if none is.
+
+    Random steps from the best configurations, each smaller than the last that failed, are projected
+    and kept if they turn the hand less.
+
+    Args:
+        robot: the robot.
+        region: poses of the end effector.
+        turned: poses (4, 4) of the region, and configurations (k, n) at the position of each.
+        checker: of collisions.
+        constraint: regions that hold at the same time.
+        starts: number of configurations at which steps begin.
+        steps: number of steps from each.
+    """
+    hand, rng = region.end_effector, np.random.default_rng(0)
+
+    def turns(pose: np.ndarray, states: np.ndarray) -> np.ndarray:
+        relative = pose[:3, :3].T @ robot.poses(states, hand)[:, :3, :3]
+        return np.linalg.norm(rotation_vectors(relative), axis=1)
+
+    def typed(q: np.ndarray) -> str:
+        """Return the pose at q (n,) as text; "" if this text is not reached free of collision."""
+        at = robot.pose(q, hand)
+        numbers = np.concatenate([at[:3, 3], rpy_of(at[:3, :3])]).round(4) + 0.0
+        T = Placement(xyz=tuple(numbers[:3]), rpy=tuple(numbers[3:])).matrix
+        (ends,) = solve_poses(robot, one_pose(hand), T[None], q[None, None].copy())
+        reached = len(ends) > 0 and not checker.in_collision(ends[0])
+        return ",".join(f"{x:g}" for x in numbers) if reached else ""
+
+    least, said = np.inf, ""
+    few = -(-starts // len(turned))  # of each pose
+    ends = [
+        (pose, q) for pose, states in turned for q in states[turns(pose, states).argsort()[:few]]
+    ]
+    for pose, q in sorted(ends, key=lambda end: turns(end[0], end[1][None])[0])[:starts]:
+        there = RegionConstraint(robot, (_anyhow(pose, region), *constraint))
+        spread, off = 0.3, np.inf  # [rad or m], [rad]
+        passed = []
+        for step in range(steps):
+            to = there.project(q + (step > 0) * spread * rng.standard_normal(robot.dof))
+            turn = np.inf if to is None else float(turns(pose, to[None])[0])
+            if to is None or turn >= off or checker.in_collision(to):
+                spread *= 0.95
+                continue
+            q, off = to, turn
+            passed.append((off, q))
+        # the text of the very last is perhaps just out of reach
+        for off, q in reversed(passed):
+            if off < least and (text := typed(q)):
+                least, said = off, text
+                break
+    return f"; the nearest one found, {np.degrees(least):.0f} deg from it: {said}" if said else ""
+
+
+def _anyhow(pose: np.ndarray, region: TaskSpaceRegion) -> TaskSpaceRegion:
+    """Return the region of all turns at a pose (4, 4), for the end effector of `region`."""
+    bounds = np.array([[0.0, 0.0]] * 3 + [[-FREE, FREE]] * 3)
+    return TaskSpaceRegion(pose, np.eye(4), bounds, end_effector=region.end_effector)
 
 
 def hand_reach(robot: Robot, end_effector: str | None = None, count: int = 4000) -> float:
