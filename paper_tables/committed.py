@@ -12,7 +12,7 @@ from cvqmpt_lab.base.errors import CvqmptError, InvalidInputError, in_checkout
 from cvqmpt_lab.base.files import read_text
 from cvqmpt_lab.paper_tables import pages
 from cvqmpt_lab.paper_tables.claims import Evidence, judged_claims
-from cvqmpt_lab.paper_tables.quoted import Quoted
+from cvqmpt_lab.paper_tables.quoted import Quoted, what_to_use
 from cvqmpt_lab.paper_tables.rendering import rendered_tables
 from cvqmpt_lab.paper_tables.statements import PUBLISHED
 from cvqmpt_lab.paper_tables.table_engine import by_planner
@@ -149,12 +149,18 @@ def committed_pages(found: Mapping[str, Evidence]) -> dict[Path, str]:
 
 
 def committed_pictures(found: Mapping[str, Evidence]) -> dict[Path, bytes]:
-    """Return pictures of committed rows: comparisons of the claims, and the cost of a check."""
+    """Return pictures of committed rows: what to use, comparisons of claims, cost of a check."""
     from cvqmpt_lab.paper_tables import plots  # matplotlib takes a second to import
 
-    verdicts = [verdict for item in judged_claims(found) for verdict in item.verdicts]
-    task = by_planner(found["place-task"].rows, ())
-    drawn = {"forest.png": plots.forest(verdicts), "cost.png": plots.cost_curves(task)}
+    claims = judged_claims(found)
+    verdicts = [verdict for item in claims for verdict in item.verdicts]
+    deciding = [item.deciding for item in claims if item.deciding is not None]
+    drawn = {
+        "use.png": plots.advice(what_to_use(Quoted(found))),
+        "forest.png": plots.forest(deciding),
+        "comparisons.png": plots.forest(verdicts),
+        "cost.png": plots.cost_curves(by_planner(found["place-task"].rows, ())),
+    }
     return {DOCS / name: picture for name, picture in drawn.items()}
 
 

@@ -39,7 +39,7 @@ from cvqmpt_lab.paper_tables.measures import (
     paired,
     work,
 )
-from cvqmpt_lab.paper_tables.quoted import short
+from cvqmpt_lab.paper_tables.quoted import clear
 from cvqmpt_lab.paper_tables.rendering import published_of, table_of, title_of
 from cvqmpt_lab.paper_tables.statements import BECAUSE, CBIRRT, CVQ, OPT, PUBLISHED, READING, STEPS
 from cvqmpt_lab.paper_tables.table_engine import by_planner
@@ -77,8 +77,12 @@ def rendered(template: str, **data: Any) -> str:
         trim_blocks=not html,
         keep_trailing_newline=not html,
     )
-    environment.filters |= {"table": markdown_table, "verdicts": verdict_lines, "short": short}
-    environment.filters["td"] = html_cell
+    environment.filters |= {
+        "table": markdown_table,
+        "verdicts": verdict_lines,
+        "td": html_cell,
+        "clear": clear,
+    }
     return environment.get_template(template).render(**data)
 
 
@@ -142,7 +146,7 @@ def opening(claims: Sequence[JudgedClaim]) -> str:
     words = [Word.REPLICATED, Word.SMALLER, Word.SAME, Word.OPPOSITE, Word.OPEN]
     words += [word for word in (Word.UNTESTABLE, Word.NO_ROWS) if count[word]]
     counted = ", ".join(f"{count[word]} {word.rpartition(', ')[2]}" for word in words)
-    return f"**Replication of method and claims with own weights: {counted}.** {BECAUSE}"
+    return f"**Replication of method and claims with own weights: {counted}.**\n\n{BECAUSE.strip()}"
 
 
 def decomposition_lines(evidence: Evidence) -> Lines:
@@ -184,7 +188,7 @@ def page_text(found: Mapping[str, Evidence], claims: Sequence[JudgedClaim], root
     return rendered(
         "claims.md.j2",
         banner=banner(found),
-        picture="../docs/forest.png" if root == PAGE.parent else "",
+        pictures=root == PAGE.parent,
         opening=opening(claims),
         summary=summary_lines(claims),
         reading=reading(),

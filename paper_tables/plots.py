@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import FuncFormatter, NullFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from cvqmpt_lab.paper_tables.judging import Verdict, Word
 from cvqmpt_lab.paper_tables.measures import (
@@ -24,7 +24,7 @@ from cvqmpt_lab.paper_tables.measures import (
     time_at,
 )
 from cvqmpt_lab.results.row import ResultRow
-from cvqmpt_lab.results.statistics import ProblemKey, problem_key
+from cvqmpt_lab.results.statistics import Interval, ProblemKey, problem_key
 
 Groups = Mapping[str, Sequence[ResultRow]]  # rows by planner
 STYLE: Any = {
@@ -154,11 +154,32 @@ def forest(verdicts: Sequence[Verdict]) -> bytes:
         axes.set_ylim(len(part) - 0.4, -0.6)
         axes.axvline(at(0.0), color="black", linewidth=0.8)
         _finish(axes, label, "", legend=False, log=not shares)
+    panels[0].xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     panels[0].axvspan(0.9, 1.0 / 0.9, color="0.92", zorder=0)
     marks = [Line2D([], [], color=c, marker="o", label=w) for w, c in WORD_COLOURS.items()]
     style: Any = {"marker": "D", "fillstyle": "none", "linestyle": "none"}
     marks.append(Line2D([], [], color="black", label="the paper's number", **style))
     figure.legend(handles=marks, loc="outside upper center", ncols=3, frameon=False)
+    return figure_bytes(figure, "png", 140)
+
+
+@matplotlib.rc_context(STYLE)
+def advice(lines: Mapping[str, Interval]) -> bytes:
+    """Return the time over that of `birrt` with its interval, one line a use, as png."""
+    figure, axes = _axes(0.8 + 0.34 * len(lines))
+    colours = {True: WORD_COLOURS[Word.REPLICATED], False: WORD_COLOURS[Word.SAME]}
+    for place, ratio in enumerate(lines.values()):
+        middle, low, high = ratio[:3]
+        colour = colours[high is not None and high < 1.0]
+        axes.plot([low, high], [place] * 2, color=colour, linewidth=3.0)
+        axes.plot(middle, place, "o", color=colour)
+        above: Any = {"textcoords": "offset points", "ha": "center"}
+        axes.annotate(f"{middle:.2f}", (middle, place), (0, 5), **above)
+    axes.set_yticks(range(len(lines)), list(lines))
+    axes.set_ylim(len(lines) - 0.5, -0.8)
+    axes.axvline(1.0, color="black", linewidth=0.8)
+    axes.set_xlim(0.0, 1.2)
+    _finish(axes, f"time / {REFERENCE}; left of the line is faster", "", legend=False, log=False)
     return figure_bytes(figure, "png", 140)
 
 

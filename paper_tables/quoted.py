@@ -19,6 +19,7 @@ from cvqmpt_lab.paper_tables.ompl_table import PAPER_CUTOFF_S, means_ratio
 from cvqmpt_lab.paper_tables.table_engine import suite_runs
 from cvqmpt_lab.paper_tables.writers import estimate, number
 from cvqmpt_lab.results.row import split_problem
+from cvqmpt_lab.results.statistics import Interval
 
 
 @dataclass(frozen=True)
@@ -54,8 +55,14 @@ class Quoted:
             over: planner of the divisor.
             kind: kind of problems; empty: all.
         """
+        return estimate(self.interval(name, planner, value, over, kind))
+
+    def interval(
+        self, name: str, planner: str, value: str = "work", over: str = REFERENCE, kind: str = ""
+    ) -> Interval:
+        """Return the numbers of `ratio`, whose arguments it has."""
         own, other = self.rows(name, planner, kind), self.rows(name, over, kind)
-        return estimate(mean_ratio(paired(own, other, VALUES[value])))
+        return mean_ratio(paired(own, other, VALUES[value]))
 
     def cost_ratio(self, name: str, planner: str, over: str) -> str:
         """Return the ratio of mean costs in the paper's seconds, see `ompl_table`."""
@@ -79,6 +86,21 @@ class Quoted:
         return f"{sum(row.solved for row in rows)} of {len(rows)}"
 
 
-def short(text: str) -> str:
-    """Return a number without its interval."""
-    return text.partition(" [")[0]
+def what_to_use(quoted: Quoted) -> dict[str, Interval]:
+    """Return five lines of advice, each with the time of its planner over that of `birrt`."""
+    lines = {
+        "any arm, also in a new scene: roadmap": ("robots", "roadmap", "own_time"),
+        "problems that others wrote: roadmap": ("motion-bench", "roadmap", "own_time"),
+        "narrow passages: roadmap": ("passages", "roadmap", "own_time"),
+        "a Panda, whose dictionary is here: roadmap-cvq": ("place-task", "roadmap-cvq", "own_time"),
+        "a state check takes milliseconds: roadmap-cvq": (
+            "place-task", "roadmap-cvq", "paper_cost",
+        ),
+    }  # fmt: skip
+    return {line: quoted.interval(*numbers) for line, numbers in lines.items()}
+
+
+def clear(text: str) -> str:
+    """Return a ratio, bold where its whole interval is below 1."""
+    bounds = text.partition("[")[2].rstrip("]").split(", ")
+    return f"**{text}**" if len(bounds) == 2 and float(bounds[1]) < 1.0 else text

@@ -17,12 +17,13 @@ from refusals import refused
 
 from cvqmpt_lab.base.errors import RunStoreError
 from cvqmpt_lab.paper_tables import committed, pages
-from cvqmpt_lab.paper_tables.claims import evidence_below, judged_claims
+from cvqmpt_lab.paper_tables.claims import Evidence, evidence_below, judged_claims
 from cvqmpt_lab.paper_tables.committed import RESULTS
 from cvqmpt_lab.paper_tables.judging import Word
 from cvqmpt_lab.paper_tables.layouts import place_table
 from cvqmpt_lab.paper_tables.motion_bench_table import class_lines
 from cvqmpt_lab.paper_tables.plots import COLOURS, OURS, line_style, profile
+from cvqmpt_lab.paper_tables.quoted import Quoted, clear
 from cvqmpt_lab.paper_tables.rendering import render_directory, table_of
 from cvqmpt_lab.paper_tables.statements import read_published
 from cvqmpt_lab.paper_tables.table_engine import SuiteTable, by_planner, failure
@@ -133,6 +134,15 @@ def test_the_committed_page_and_the_readme_are_what_the_command_writes_from_the_
     assert committed.stale_pages(committed.committed_pages(evidence_below(RESULTS))) == []
 
 
+def test_the_results_begin_with_advice_and_mark_clear_ratios():
+    evidence = {"robots": Evidence(RESULTS, read_rows(RESULTS / "robots" / RUNS_FILE), {})}
+    shown = Quoted(evidence).ratio("robots", "roadmap")
+    assert clear(shown) == f"**{shown}**" and clear("1.2 [0.9, 1.3]") == "1.2 [0.9, 1.3]"
+    text = (committed.DOCS / "results.md").read_text(encoding="utf-8")
+    assert text.index("(use.png)") < text.index("(forest.png)") < text.index("(comparisons.png)")
+    assert text.count("<details>") == text.count("</details>") >= 4
+
+
 def test_a_readme_without_marks_is_refused():
     refused("add both where", committed.with_part, "a README without marks", "answer", "")
 
@@ -192,7 +202,7 @@ def test_a_table_in_the_terminal_says_what_infinity_means():
 
 def test_claims_without_rows_say_so_and_what_cannot_be_tested_too(tmp_path):
     found = by_title(a_results_folder(tmp_path, opt_cvq_mpt=1.0, ompl_projected=3.0))
-    titles = "Opt tasks: planning −45 %", "lower G of codes", "Opt: twice as fast", "solve as many"
+    titles = "Opt tasks: planning −45 %", "Opt: codes nearer", "Opt: twice as fast", "solve as many"
     assert {found[title].word for title in titles} == {Word.NO_ROWS}, "or not of all planners"
     assert found["complete"].word is Word.UNTESTABLE and found["complete"].deciding is None
     assert found["Opt: shorter paths"].verdicts[0].word is Word.SAME, "all paths are 6 rad"
