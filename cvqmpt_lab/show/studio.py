@@ -73,12 +73,14 @@ class StudioPage:
         self._dragged: set[str] = set()  # names of the gizmos that the user is dragging
         self._layers: dict[str, Any] = {}  # checkboxes by name of a layer
         self._gizmos: dict[str, Any] = {}  # by "start", "goal" and "obstacle"
+        self._joints: list[Any] = []  # sliders of the start
+        self._joint_moved = 0.0  # time of the last change of a slider [s]
         gui, problem = server.gui, live.problem
         # no share button and no answer to its request, which would open a public address
         server.request_share_url = lambda verbose=True: None
         gui.configure_theme(show_logo=False, show_share_button=False)
         gui.main_panel.dock_right()  # beside the view, not over it
-        self._state = gui.add_html("planning ...")
+        self._state = gui.add_html(_badge("planning ..."))
 
         def choice(label: str, names: tuple[str, ...]) -> Any:
             element = gui.add_dropdown(label, names)
@@ -111,13 +113,20 @@ class StudioPage:
         constraint.on_update(lambda event: live.set_constraint(event.target.value))
         clearance = slider("clearance [mm]", 0.0, 100.0, 1.0, 1e3 * live.request.clearance)
         clearance.on_update(lambda event: live.submit(clearance=1e-3 * event.target.value))
+        with gui.add_folder("joints of the start [rad or m]", expand_by_default=False):
+            # limits are rounded inwards, because the page rounds to steps
+            limits = np.ceil(1e3 * problem.robot.lower), np.floor(1e3 * problem.robot.upper)
+            for k, (least, most) in enumerate(1e-3 * np.transpose(limits)):
+                joint = slider(problem.robot.joint_names[k], least, most, 0.001, least)
+                joint.on_update(partial(self._move_joint, k))
+                self._joints.append(joint)
         with gui.add_folder("details", expand_by_default=False):
             self._text = gui.add_markdown("planning ...")
         with gui.add_folder("layers", expand_by_default=False):
             self._legend = gui.add_html("")
             for name in ("start", "goals", "path", "constraint", "search", "cloud", "Gaussians"):
                 slow = name in ("search", "cloud", "Gaussians")
-                self._layers[name] = switch(gui.add_checkbox(f"show {name}", not slow))
+                self._layers[name] = switch(gui.add_checkbox(name, not slow))
                 self._layers[name].on_update(lambda event: self._show(live.response))
         with gui.add_folder("save", expand_by_default=False):
             for kind in ("problem", "page", "picture", "trajectory"):
@@ -138,7 +147,7 @@ class StudioPage:
         server.initial_camera.position = 2.2 * np.subtract(view.eye, view.target) + view.target
         server.initial_camera.look_at, server.initial_camera.fov = view.target, view.height_angle
         server.on_client_connect(self._fit_phone)
-        live.on_response = self._show
+        live.on_response, live.on_wait = self._show, self._show_wait
         live.submit()  # the first response may have come before the page existed
 
     def __repr__(self) -> str:
@@ -197,6 +206,14 @@ class StudioPage:
         else:
             self.live.move_obstacle(self._chosen.value, T)
 
+    async def _move_joint(self, index: int, event: Any) -> None:
+        """Submit a joint of the start that the user moved, not the page itself."""
+        if event.client is not None:
+            if time.monotonic() - self._joint_moved > 1.0:  # a new movement of the mouse
+                self.live.remember()
+            self._joint_moved = time.monotonic()
+            self.live.move_joint(index, event.target.value)
+
     async def _pick(self, name: str, event: Any) -> None:
         """Choose what was clicked."""
         self._chosen.value = name
@@ -225,16 +242,22 @@ class StudioPage:
         with self._drawing:
             self._draw(response)
 
+    def _show_wait(self) -> None:
+        """Say that a response takes its time; called in a thread of its own."""
+        with self._drawing:
+            if self.live.request is not self.live.response.request:
+                self._state.content = _badge("planning ...")
+
     def _draw(self, response: Response) -> None:
         """Draw a response."""
         problem, request = response.problem, response.request
         scene = self.server.scene
+        if response.message and request.posture is not None:
+            # where the sliders are, although no path begins there
+            problem = problem.changed(start=request.posture)
         drawing = drawing_of_problem(problem, response.path, ghosts=0)
         shown = {name for name, box in self._layers.items() if box.value}
-        # without slashes in the name, because viser moves a node together with its parent
-        named = {
-            f"/{body.layer}/{body.name.replace('/', '|')}": body for body in drawing.bodies(*shown)
-        }
+        named = {_node_of(body): body for body in drawing.bodies(*shown)}
         states = np.array([problem.start, *problem.goals])
         if response.path is not None:
             states = response.path.states
@@ -278,9 +301,13 @@ class StudioPage:
                 scene.add_point_cloud(f"/{layer}/{k}", at, colour, point_size=0.008)
                 for k, (layer, at, colour) in enumerate(drawn)
             ]
-            first, last = problem.robot.poses(states[[0, -1]])
+            first, last = problem.robot.poses(np.array([problem.start, states[-1]]))
             if "start" not in self._dragged:
-                _place(self._gizmos["start"], first if request.start is None else request.start)
+                by_hand = request.start is not None and request.posture is None
+                _place(self._gizmos["start"], request.start if by_hand else first)
+            if request.posture is None:
+                for joint, value in zip(self._joints, problem.start.tolist(), strict=True):
+                    joint.value = min(max(round(value, 3), joint.min), joint.max)
             if "goal" not in self._dragged:
                 _place(self._gizmos["goal"], last if request.goal is None else request.goal)
             self._mark_chosen()
@@ -292,6 +319,13 @@ class StudioPage:
             _place(node, poses[round(self._slider.value * (len(poses) - 1))])
 
 
+def _node_of(body: Body) -> str:
+    """Name of a body's node; objects of the scene are grouped in viser's tree of the scene."""
+    # no other slashes, because viser moves a node together with its parent
+    group = f"{_mover_of(body)}/" if body.layer == "scene" else ""
+    return f"/{body.layer}/{group}{body.name.replace('/', '|')}"
+
+
 def _mover_of(body: Body) -> str:
     """Name of what moves a body: "start", "goal" or a group of obstacles; "" if nothing does."""
     layer = body.layer.split("/")[0]
@@ -301,10 +335,15 @@ def _mover_of(body: Body) -> str:
 
 def state_of(response: Response) -> str:
     """State of a response as html: a word and a colour, and why there is no path."""
-    word, colour = response.verdict, {"certified": "#1a7f37", "no path": "#b42318"}
     why = f": {response.message}" if response.message else f", {1e3 * response.seconds:.0f} ms"
+    return _badge(response.verdict, why)
+
+
+def _badge(word: str, why: str = "") -> str:
+    """Coloured field with a word and a reason as html."""
+    colour = {"certified": "#1a7f37", "no path": "#b42318"}.get(word, "#9a6700")
     return (
-        f'<div style="background:{colour.get(word, "#9a6700")};color:#fff;padding:0.5em;'
+        f'<div style="background:{colour};color:#fff;padding:0.5em;'
         f'margin:0 0.6em 0.6em;border-radius:4px"><b>{word}</b>{html.escape(why)}</div>'
     )
 

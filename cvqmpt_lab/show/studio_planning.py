@@ -20,6 +20,7 @@ from cvqmpt_lab.base.errors import (
 )
 from cvqmpt_lab.base.files import json_text
 from cvqmpt_lab.base.poses import Pose
+from cvqmpt_lab.base.values import scalar
 from cvqmpt_lab.certificate.motion_check import certified_motion
 from cvqmpt_lab.constraints.goals import SAMPLE_MARGIN_M, sample_region
 from cvqmpt_lab.constraints.named import upper_axis
@@ -48,10 +49,16 @@ class Request:
     number: int
     planner: str
     constraint: str = "own"  # a key of `Studio.constraints`
-    start: np.ndarray | None = None  # pose of the hand (4, 4) [m]; None: the problem's start
+    # pose of the hand (4, 4) [m], or configuration (n,); None: the problem's start
+    start: np.ndarray | None = None
     goal: np.ndarray | None = None  # pose of the hand (4, 4) [m]; None: the problem's goals
     moved: Mapping[str, np.ndarray] = field(default_factory=dict)  # T_world_object by name
     clearance: float = Margin().metres  # to obstacles [m]; less where start or goals have less
+
+    @property
+    def posture(self) -> np.ndarray | None:
+        """The start (n,) if joints were moved, not the hand [rad or m]."""
+        return self.start if self.start is not None and self.start.ndim == 1 else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,6 +105,7 @@ class Studio:
         held = problem.closed_chain  # two hands on one object keep hold of it in any case
         self.constraints = {"own": problem.constraint, "upright": (*held, standing), "none": held}
         self.on_response: Callable[[Response], None] = lambda response: None  # in planning thread
+        self.on_wait: Callable[[], None] = lambda: None  # when a response takes more than 0.2 s
         # objects that move together: those whose names are alike up to the first "/"
         self.groups: dict[str, list[SceneObject]] = {}
         for item in problem.scene:
@@ -116,6 +124,17 @@ class Studio:
     def move_start(self, T: np.ndarray) -> int:
         """Move the hand's start to a pose (4, 4) [m]; returns the number of the request."""
         return self.submit(start=from_plain(Pose, T, "start"))
+
+    def move_joint(self, index: int, value: float) -> int:
+        """Move one joint of the start [rad or m]; returns the number of the request.
+
+        The path begins at the nearest configuration at which the constraint holds.
+        """
+        with self._changed:
+            before = self.request.posture
+            posture = np.array(self.response.problem.start if before is None else before)
+            posture[index] = scalar(float, value, self.problem.robot.joint_names[index])
+            return self.submit(start=posture)
 
     def move_obstacle(self, name: str, T: np.ndarray) -> int:
         """Move a scene object, or one of `groups` by the pose of its first object.
@@ -189,7 +208,10 @@ class Studio:
                 if self._stopped:
                     return
                 request = self.request
+            waiting = threading.Timer(0.2, self.on_wait)
+            waiting.start()
             response = self._planned(request)
+            waiting.cancel()
             with self._changed:
                 self.response = response
                 self._changed.notify_all()
@@ -234,7 +256,12 @@ class Studio:
             scene = scene.changed(objects=objects)
         constraint = self.constraints[request.constraint]
         problem = self.problem.changed(scene=scene, constraint=constraint)
-        if request.start is not None:
+        if request.posture is not None:
+            start = problem.manifold.project(request.posture)
+            if start is None:
+                raise InvalidInputError("no posture near that of the sliders fits the constraint")
+            problem = problem.changed(start=start)
+        elif request.start is not None:
             start = _reached(problem, "start", request.start, last.problem.start)[0]
             problem = problem.changed(start=start)
         if request.goal is not None:

@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from browser import BROWSER, Tab, until
 from command_line import start
 from refusals import refused
 
@@ -330,7 +331,7 @@ def test_a_click_chooses_what_handles_move_and_undo_reverts_it(page):
     import msgspec
 
     name, (item, *others) = next((k, v) for k, v in page.live.groups.items() if "drawer" in k)
-    node = f"/scene/{item.name.replace('/', '|')}"
+    node = f"/scene/{name}/{item.name.replace('/', '|')}"
     click = {"type": "SceneNodeClickMessage", "name": node, "instance_index": None, "owner": ""}
     click |= {"ray_origin": [0.0] * 3, "ray_direction": [1.0, 0.0, 0.0], "modifier": None}
     shown(page)
@@ -350,6 +351,66 @@ def test_a_click_chooses_what_handles_move_and_undo_reverts_it(page):
         assert moved[it.name] == pytest.approx(lifted(it.T_world_object, 0.3))
     page.live.wait(page.live.undo())
     assert page.live.request.moved == {}
+
+
+def test_joints_of_the_start_are_moved_onto_the_constraint_or_say_why_not(fresh):
+    response = fresh.wait(fresh.move_joint(1, fresh.problem.start[1] - 0.2))
+    assert response.verdict == "certified" and certify(response.problem, response.path).valid
+    assert response.problem.start[1] < fresh.problem.start[1] - 0.1
+    refused("panda_joint2", fresh.move_joint, 1, math.nan)
+    response = fresh.wait(fresh.move_joint(1, fresh.problem.robot.upper[1]))
+    assert response.verdict == "no path" and "start" in response.message
+
+
+def pixel(client, tab, point):
+    """Return the pixel of a tab at which its client sees a point (3,)."""
+    at, ahead = client.camera.position, client.camera.look_at - client.camera.position
+    canvas = "[...document.querySelectorAll('canvas')].pop()"
+    width, height = (tab.value(f"{canvas}.{name}") for name in ("clientWidth", "clientHeight"))
+    right = np.cross(ahead, (0.0, 0.0, 1.0))
+    axes = np.stack([right, np.cross(ahead, right), ahead])
+    x, y, depth = axes / np.linalg.norm(axes, axis=1)[:, None] @ (point - at)
+    scale = 0.5 * height / math.tan(0.5 * client.camera.fov) / depth
+    return 0.5 * width + scale * x, 0.5 * height + scale * y
+
+
+@pytest.mark.skipif(BROWSER is None, reason="no Chromium is installed")
+def test_a_mouse_moves_a_drawer_and_a_joint_undoes_both_and_saves(page, tmp_path):
+    live, name = page.live, "indigo_drawer_top"
+    live.wait(live.reset())
+    with Tab(page.address, tmp_path, drawn=False) as tab:
+        until(lambda: "certified" in tab.text())
+        (client,) = page.server.get_clients().values()
+        until(lambda: np.allclose(client.camera.position, page.server.initial_camera.position))
+        T = live.groups[name][0].T_world_object
+        tab.click(pixel(client, tab, T[:3, 3]), lambda: page._chosen.value == name)
+
+        def dragged():  # by the arrow along z, once the page shows it
+            up = page._gizmos["obstacle"].scale * np.array([0.0, 0.0, 1.0])
+            tab.drag(*(pixel(client, tab, T[:3, 3] + share * up) for share in (0.9, 1.2)))
+            return live.request.moved
+
+        moved = until(dragged)
+        assert moved.keys() == {item.name for item in live.groups[name]}
+        shift = moved[f"{name}/front_panel"][:3, 3] - T[:3, 3]
+        assert shift[2] > 0.05 and shift[:2] == pytest.approx([0.0, 0.0])
+        tab.click("undo", lambda: not live.request.moved)
+        until(lambda: "certified" in tab.text())  # after which nothing moves on the panel
+        joint, before = live.problem.robot.joint_names[-1], live.problem.start[-1]
+        tab.click("joints of the start [rad or m]", lambda: tab.middle(joint, "[role=slider]"))
+        x, y = tab.place(joint, "[role=slider]")
+        tab.drag((x, y), (x + 20, y))
+        until(lambda: live.request.posture is not None and live.request.posture[-1] > before + 0.1)
+        until(lambda: live.wait().verdict in tab.text())
+        tab.click("undo", lambda: live.request.start is None)
+        until(lambda: "certified" in tab.text())
+        number = live.wait().request.number
+        tab.click("layers", lambda: tab.middle("goals", "[type=checkbox]"))
+        tab.click("goals", lambda: not page._layers["goals"].value, "[type=checkbox]")
+        assert live.request.number == number, "a layer is switched without planning"
+        tab.click("save", lambda: tab.middle("save problem"))
+        tab.click("save problem", lambda: "problem.json is in the folder" in tab.text())
+        assert not tab.said
 
 
 def test_an_address_is_shown_and_a_port_in_use_is_refused(page, problem):
