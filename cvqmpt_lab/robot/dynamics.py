@@ -31,6 +31,18 @@ class Load(NamedTuple):
     end_effector: str | None = None  # None: the robot's first one
 
 
+def loaded_model(robot: Robot, loads: Iterable[Load]) -> pin.Model:
+    """Return a robot's model whose links have the masses of what they carry."""
+    model = robot.model.copy()
+    for load in loads:
+        name = load.end_effector or robot.end_effector
+        frame = model.frames[model.getFrameId(name, pin.FrameType.BODY)]
+        inertia = pin.Inertia(load.mass, load.centre, load.tensor)
+        held = frame.placement * pin.SE3(load.T_hand_object)
+        model.appendBodyToJoint(frame.parentJoint, inertia, held)
+    return model
+
+
 @dataclass(frozen=True, eq=False)
 class Dynamics:
     """Rigid-body model of an arm; its loads are parts of the links that carry them.
@@ -46,14 +58,7 @@ class Dynamics:
         """Return a robot's dynamics; None if no effort is limited, see `without_effort_limit`."""
         if robot.weightless or np.isinf(robot.limits["effort"]).all():
             return None
-        model = robot.model.copy()
-        for load in loads:
-            name = load.end_effector or robot.end_effector
-            frame = model.frames[model.getFrameId(name, pin.FrameType.BODY)]
-            inertia = pin.Inertia(load.mass, load.centre, load.tensor)
-            held = frame.placement * pin.SE3(load.T_hand_object)
-            model.appendBodyToJoint(frame.parentJoint, inertia, held)
-        return Dynamics(model, robot.kinematics)
+        return Dynamics(loaded_model(robot, loads), robot.kinematics)
 
     def efforts(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Return efforts tau (k, n) [Nm or N] at q, v = q', a = q'' (k, n)."""

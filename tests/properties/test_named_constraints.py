@@ -1,12 +1,16 @@
 """Proofs that motions keep a named constraint, judged at dense states by pinocchio and numpy."""
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from random_arms import ARMS, two_armed
 
 from cvqmpt_lab.certificate.between_states import largest_violation
 from cvqmpt_lab.certificate.certificate import CERTIFICATE_TOLERANCE, CHECK_SPACING_RAD
+from cvqmpt_lab.constraints.centre_of_mass import CentreOfMass
 from cvqmpt_lab.constraints.named import region
+from cvqmpt_lab.robot.dynamics import Load
+from cvqmpt_lab.robot.load import robot_from_source
 
 DENSE = 401  # states at which a motion is judged
 
@@ -96,3 +100,42 @@ def test_named(kind, trials, record_property):
         "proven", f"{proven}, {near} of them by more than half of the tolerance outside"
     )
     assert false == {} and proven >= 0.3 * trials and near > 0
+
+
+@pytest.mark.promise(
+    "bounds of the centre of mass hold between states", "motions", ci=40, long=2000
+)
+def test_centre_of_mass(trials):
+    """The excess between states over the larger end, by pinocchio, against the bound on it."""
+    false, share = {}, 0.0
+    robots = [robot_from_source({"name": name}) for name in ("talos-left-arm", "tiago", "baxter")]
+    for number in range(trials):
+        rng, robot = np.random.default_rng(number), robots[number % len(robots)]
+        load = Load(np.eye(4), rng.uniform(0.1, 20.0), rng.uniform(-0.2, 0.2, 3), np.zeros((3, 3)))
+        turn = rng.uniform(0.0, 2.0 * np.pi) + 2.0 * np.pi / 3.0 * np.arange(3)
+        corners = 0.1 * np.column_stack([np.cos(turn), np.sin(turn)])
+        given = CentreOfMass(corners).carrying((load,)).on(robot)
+        half = 10.0 ** rng.uniform(-2.5, -0.3) * rng.standard_normal(robot.dof)
+        ends = robot.random_configurations(rng, 1)[0] + np.outer((-1.0, 1.0), half)
+        c = centres_of_mass(robot, load, np.linspace(*ends, 101))
+        x = c @ given.given.edges[0].T
+        rise = (x.max(axis=0) - np.maximum(x[0], x[-1])).max()
+        bound = given.bound_between(ends)[0]
+        false |= {number: rise} if rise > bound + 1e-12 else {}
+        share = max(share, rise / bound)
+    assert false == {} and share > 0.05
+
+
+def centres_of_mass(robot, load, states):
+    """Centre of all masses (k, 2), what stands still included, by pinocchio."""
+    data, found = robot.model.createData(), []
+    frame = robot.model.getFrameId(robot.end_effector)
+    for q in states:
+        pin.forwardKinematics(robot.model, data, robot.kinematics.joint_values(q))
+        hand = pin.updateFramePlacement(robot.model, data, frame)
+        bodies = [
+            (b.mass, T * b.lever) for T, b in zip(data.oMi, robot.model.inertias, strict=True)
+        ]
+        bodies.append((load.mass, hand * load.centre))
+        found.append(sum(m * p for m, p in bodies) / sum(m for m, _ in bodies))
+    return np.array(found)[:, :2]

@@ -1,0 +1,66 @@
+"""Joint couplings and the centre of mass: machine code, numpy, slopes, refusals."""
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from refusals import refused
+
+from cvqmpt_lab.constraints.centre_of_mass import CentreOfMass
+from cvqmpt_lab.constraints.joint_coupling import JointCoupling
+from cvqmpt_lab.constraints.region_constraint import RegionConstraint
+from cvqmpt_lab.constraints.task_space_region import upright
+from cvqmpt_lab.robot.dynamics import Load, loaded_model
+from cvqmpt_lab.robot.load import robot_from_source
+from cvqmpt_lab.scene.scene import Scene
+from cvqmpt_lab.search.space import ConstrainedSpace
+
+SQUARE = np.array([[0.1, 0.1], [-0.1, 0.1], [-0.1, -0.1], [0.1, -0.1]])
+LOAD = Load(np.eye(4), 5.0, np.array([0.0, 0.1, 0.2]), np.zeros((3, 3)))
+
+
+@pytest.fixture(scope="module")
+def talos():
+    return robot_from_source({"name": "talos-left-arm"})
+
+
+def test_machine_code_and_numpy_agree_and_slopes_are_those_of_differences(talos):
+    first, second = talos.joint_names[:2]
+    coupling = JointCoupling({first: 1.0, second: -0.5}, lower=None, upper=0.1)
+    balanced = CentreOfMass(SQUARE, margin=0.09).carrying((LOAD,))
+    for member in (coupling, balanced):
+        alone, both = member.on(talos), RegionConstraint(talos, (upright(0.5), member))
+        space = ConstrainedSpace(talos, Scene("empty", ()), both, inset=0.0)
+        for q in talos.random_configurations(np.random.default_rng(0), 20):
+            F, J = space.residual_and_jacobian(q)
+            np.testing.assert_allclose(F[1:], alone.residual(q), atol=1e-9)
+            np.testing.assert_allclose(J[1:], alone.jacobian(q), atol=1e-9)
+            near = q + 1e-6 * np.concatenate([np.eye(talos.dof), -np.eye(talos.dof)])
+            ahead, back = np.split(alone.values(near), 2)
+            np.testing.assert_allclose(alone.slopes(q[None])[0], (ahead - back).T / 2e-6, atol=1e-6)
+            projected = q.copy()
+            if space.project(projected):
+                assert np.abs(both.residual(projected)).max() <= 1e-4
+
+
+def test_the_centre_of_mass_is_that_of_all_bodies_and_the_load(talos):
+    q = talos.random_configurations(np.random.default_rng(0), 1)
+    model = loaded_model(talos, [LOAD])
+    data = model.createData()
+    pin.forwardKinematics(model, data, q[0])
+    bodies = list(zip(data.oMi, model.inertias, strict=True))
+    mass = sum(body.mass for _, body in bodies)
+    c = sum(body.mass * (T * body.lever) for T, body in bodies) / mass
+    assert mass > 80.0
+    x = CentreOfMass(SQUARE).carrying((LOAD,)).on(talos).values(q)[0]
+    np.testing.assert_allclose(x, [c[1], -c[0], -c[1], c[0]], atol=1e-12)
+
+
+def test_wrong_polygons_joints_and_robots_without_masses_are_refused(talos, slider_arm):
+    refused("3 or more of a convex polygon", CentreOfMass, SQUARE[[0, 2, 1, 3]])
+    refused("no mass at joint", CentreOfMass(SQUARE).on, slider_arm)
+    refused("unknown joint of robot talos", JointCoupling({"nope": 1.0}).on, talos)
+    refused("a factor other than 0", JointCoupling, {"a": 0.0})
+    refused("lower <= upper", JointCoupling, {"a": 1.0}, 1.0, 0.0)
+    assert replace(CentreOfMass(SQUARE), margin=0.1).on(talos).describe().endswith("0.1 m inside")
