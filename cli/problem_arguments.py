@@ -71,6 +71,7 @@ def robot_options(args: argparse.Namespace) -> dict[str, Any]:
         "locked": dict(args.lock),
         "base": args.base,
         "tool": args.tool,
+        "joint_limits": args.joint_limits and str(args.joint_limits.absolute()),
         "velocity_limits": args.velocity,
         "acceleration_limits": args.acceleration,
         "jerk_limits": args.jerk,

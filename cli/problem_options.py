@@ -90,6 +90,11 @@ ROBOT_DETAILS: Options = {  # for robots given by name or by file
         type=partial(_placement, "--tool"),
         metavar="X,Y,Z[,ROLL,PITCH,YAW]",
     ),
+    "--joint-limits": option(
+        "limits from MoveIt's joint_limits.yaml, which replace others",
+        type=Path,
+        metavar="F.yaml",
+    ),
     "--velocity": option(
         "velocity limits, one per joint or one for all [rad/s or m/s] (those of the URDF, where 0 "
         "stands for none)",

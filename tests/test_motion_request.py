@@ -125,6 +125,10 @@ def test_goals_and_starts_that_are_missed_are_found(judged, request_of, problem,
     [
         ({"type": 1, "dimensions": [0.1, 0.1, 0.1]}, False),
         ({"type": 1, "dimensions": [3.0, 3.0, 3.0]}, True),
+        ({"type": 2, "dimensions": [0.3]}, False),
+        ({"type": 2, "dimensions": [1.5]}, True),
+        ({"type": 3, "dimensions": [2.0, 0.3]}, False),
+        ({"type": 3, "dimensions": [2.0, 1.2]}, True),
     ],
 )
 def test_positions_stay_in_their_region(judged, request_of, solution, shape, kept):

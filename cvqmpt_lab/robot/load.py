@@ -31,6 +31,12 @@ from cvqmpt_lab.robot.hulls import (
     link_geometry,
     srdf_root,
 )
+from cvqmpt_lab.robot.joint_limits_file import (
+    Limits,
+    limits_with,
+    narrow_positions,
+    read_joint_limits,
+)
 from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.mechanism import ArticulatedObject, with_articulated_object
 from cvqmpt_lab.robot.robot import (
@@ -234,7 +240,8 @@ def opening_sign(robot: Robot, finger: str, others: Sequence[str]) -> float:
 def _built(source: Mapping[str, Any], free: Sequence[str] = ()) -> Robot:
     """Build the robot of a source without articulated object; free: locked joints that move."""
     given = read_source(source)
-    read = {path: content_digest(path) for path in (given.urdf, given.srdf) if path}
+    named = (given.urdf, given.srdf, given.joint_limits)
+    read = {path: content_digest(path) for path in named if path}
     urdf = read_urdf(Path(given.urdf), given.package_dirs)
     read |= {path: content_digest(path) for path in urdf.included}
     held, followers = held_joints(urdf, given.end_effectors, given.locked, given.base is not None)
@@ -243,6 +250,10 @@ def _built(source: Mapping[str, Any], free: Sequence[str] = ()) -> Robot:
     following = {joint.name for joint in followers}
     planned = [name for name in list(model.names)[1:] if name not in {*following, *free}]
     check_turns(urdf, planned)
+    stated: Limits = {}
+    if given.joint_limits:
+        stated = read_joint_limits(Path(given.joint_limits), list(urdf.joints))
+        narrow_positions(model, stated, planned)
     soft = () if given.hard_limits else _within_soft_limits(model, urdf, planned)
     _limit_leaders(model, urdf, followers)
     axes = axis_frames(model)
@@ -254,15 +265,20 @@ def _built(source: Mapping[str, Any], free: Sequence[str] = ()) -> Robot:
     placeholder = np.where(kinematics.prismatic[own], 1e4, 1e3)
     plausible = np.where((efforts > 0.0) & (efforts < placeholder), efforts, np.inf)
     names = [model.names[j + 1] for j in own.tolist()]
-    if given.velocity_limits is not None and not free:
-        speeds = positive_per_joint(
-            "velocity", given.velocity_limits, names, LIMIT_UNITS["velocity"]
-        )
+    velocities = given.velocity_limits
+    if stated:
+        known = np.array(model.upperVelocityLimit)[own] if velocities is None else velocities
+        velocities = limits_with("velocity", known, stated, names)
+    if velocities is not None and not free:
+        speeds = positive_per_joint("velocity", velocities, names, LIMIT_UNITS["velocity"])
         for j, speed in zip(own.tolist(), speeds.tolist(), strict=True):
             model.upperVelocityLimit[j] = speed
     limits = {
         kind: positive_per_joint(kind, values, names, LIMIT_UNITS[kind])
-        for kind, values in ((k.removesuffix("_limits"), v) for k, v in given.limits.items())
+        for kind, values in (
+            (kind, limits_with(kind, given.limits[f"{kind}_limits"], stated, names))
+            for kind in (key.removesuffix("_limits") for key in given.limits)
+        )
         # limits of the source have no entries for `free` joints
         if values is not None and not free
     }

@@ -52,6 +52,8 @@ class RobotSource:
     effort_limits: Annotated[FloatArray, PerJoint()] | None = None
     # (n,), or () for all joints [Nm/s or N/s], of a controller that runs at 1 kHz
     torque_rate_limits: Annotated[FloatArray, PerJoint()] | None = None
+    # path of a joint_limits.yaml of MoveIt, whose limits replace others
+    joint_limits: str = ""
     # largest speeds of frames by name, such as the tool or the elbow
     frame_limits: Mapping[str, FrameLimit] = field(default_factory=dict)
     # folders that are searched first for ``package://`` mesh paths
@@ -87,7 +89,7 @@ def with_absolute_paths(folder: Path, source: Any) -> Any:
         return source
     files: dict[str, Any] = {
         name: str((folder / source[name]).absolute())
-        for name in ("urdf", "srdf")
+        for name in ("urdf", "srdf", "joint_limits")
         # "" stands for an absent file
         if isinstance(source.get(name), str) and source[name]
     }

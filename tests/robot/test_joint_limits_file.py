@@ -1,0 +1,74 @@
+"""Limits of MoveIt's joint_limits.yaml replace those of the URDF and of the arm."""
+
+import numpy as np
+import pytest
+from refusals import refused
+
+from cvqmpt_lab.robot.load import panda, robot_from_source
+
+TEXT = """
+default_velocity_scaling_factor: 0.1
+joint_limits:
+  panda_joint1:
+    has_velocity_limits: true
+    max_velocity: 1.5
+    has_acceleration_limits: true
+    max_acceleration: 3.75
+    has_position_limits: true
+    min_position: -1.0
+    max_position: 4.0
+  panda_joint2:
+    has_velocity_limits: false
+    max_velocity: 0.1
+  panda_finger_joint1:
+    has_velocity_limits: true
+    max_velocity: 0.1
+"""
+
+
+@pytest.fixture
+def with_limits(tmp_path):
+    def load(text, source=None):
+        (tmp_path / "joint_limits.yaml").write_text(text)
+        return robot_from_source(
+            {"name": "panda", **(source or {}), "joint_limits": str(tmp_path / "joint_limits.yaml")}
+        )
+
+    return load
+
+
+def test_limits_of_the_file_replace_others(with_limits):
+    robot, known = with_limits(TEXT), panda()
+    first = np.arange(7) == 0
+    np.testing.assert_array_equal(
+        robot.velocity_limits, np.where(first, 1.5, known.velocity_limits)
+    )
+    own, others = robot.limits["acceleration"], known.limits["acceleration"]
+    np.testing.assert_array_equal(own, np.where(first, 3.75, others))
+    np.testing.assert_array_equal(robot.limits["jerk"], known.limits["jerk"])
+    assert (robot.lower[0], robot.upper[0]) == (-1.0, known.upper[0])
+    np.testing.assert_array_equal(robot.lower[1:], known.lower[1:])
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("panda_joint1", "joint1", "joint of joint_limits 'joint1'"),
+        ("max_velocity: 1.5", "", "has has_velocity_limits: true, but no max_velocity"),
+        ("max_velocity: 1.5", "max_velocity: fast", "max_velocity is 'fast'"),
+        ("max_velocity: 1.5", "max_velocity: 0.0", "velocity limit 0.0 of joint 'panda_joint1'"),
+        ("max_position: 4.0", "max_position: -2.0", "leave it no range: from -1 to -2"),
+        ("max_velocity: 0.1", "max_speed: 0.1", "key of joint_limits.panda_joint2 'max_speed'"),
+    ],
+)
+def test_wrong_files_are_one_line(with_limits, old, new, told):
+    refused(told, with_limits, TEXT.replace(old, new, 1))
+
+
+def test_a_joint_without_a_limit_is_named(with_limits, tmp_path):
+    from cvqmpt_lab.robot.source import ARMS, example_robots
+
+    urdf = str(example_robots() / ARMS["panda"].urdf)
+    source = {"name": "", "urdf": urdf, "end_effector": "panda_hand"}
+    told = "acceleration limits, but none of panda_joint2, .*: add max_acceleration"
+    refused(told, with_limits, TEXT, source)
