@@ -15,8 +15,8 @@ from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.base.files import read_json_object
 from cvqmpt_lab.base.values import Array, FloatArray
 from cvqmpt_lab.certificate.judge import Judgement, judge
-from cvqmpt_lab.certificate.limit_use import Ends
-from cvqmpt_lab.certificate.motion_check import dry_run
+from cvqmpt_lab.certificate.limit_use import Ends, LimitUse, share_text
+from cvqmpt_lab.certificate.motion_check import dry_run, with_limits_of
 from cvqmpt_lab.certificate.record import record, report_lines
 from cvqmpt_lab.cli.options import FLAG, Options, log, numbers, option, positive, refuse_given
 from cvqmpt_lab.cli.problem_arguments import chosen_problem, chosen_robot, robot_source
@@ -55,6 +55,7 @@ def run(args: argparse.Namespace) -> int:
             f"{args.suite or args.task_file} is a task; certify the directory of a run, the folder "
             "that plan --trajectory wrote for a task, or one problem"
         )
+    problem = with_limits_of(problem, motion)
     ends = _ends(args, motion, problem)
     return _told(args, motion, problem, judge(motion, problem, ends=ends, exact_clearance=True))
 
@@ -134,10 +135,11 @@ def _certify_task(args: argparse.Namespace) -> int:
         )
     motions = [_motion_of(args.path, files[name], index) for name in names]
     problems = phase_problems(task, [motion.positions for motion in motions])
-    records, lines = [], list[str]()
+    records, lines, uses = [], list[str](), list[LimitUse]()
     for problem, motion in zip(problems, motions, strict=True):
         found = dry_run(problem, motion, exact_clearance=True)
         records.append(record(problem, motion, found))
+        uses += found.uses
         kept = ("certificate", "fault", "clearance")
         lines += [line for line in report_lines(found, records[-1]) if line.startswith(kept)]
     valid = sum(contents["valid"] for contents in records)
@@ -145,7 +147,7 @@ def _certify_task(args: argparse.Namespace) -> int:
     seconds = sum(float(motion.times[-1]) for motion in motions if motion.times is not None)
     lines.append(
         f"task        {valid} of {len(records)} phases of {task.name} are certified, {seconds:.2f} "
-        "s of motion"
+        f"s of motion{share_text(uses)}"
     )
     told = json.dumps({"valid": whole, "phases": records}, indent=1, allow_nan=False)
     print(told if args.json else "\n".join(lines))

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from cvqmpt_lab.base.errors import InvalidInputError
-from cvqmpt_lab.certificate.motion_check import certified_motion, dry_run
+from cvqmpt_lab.certificate.limit_use import share_text
+from cvqmpt_lab.certificate.motion_check import certified_motion, dry_run, with_limits_of
 from cvqmpt_lab.cli.options import (
     FLAG,
     SEED,
@@ -41,7 +42,7 @@ from cvqmpt_lab.search.result import JointPath
 from cvqmpt_lab.tasks.solve import solve_task
 from cvqmpt_lab.tasks.task import Task
 from cvqmpt_lab.trajectory.timing import TimingSettings
-from cvqmpt_lab.trajectory.trajectory import Trajectory, read_motion
+from cvqmpt_lab.trajectory.trajectory import Motion, Trajectory, read_motion
 
 HOLDS = ("weld", "friction")
 
@@ -54,13 +55,14 @@ def run(args: argparse.Namespace) -> int:
     if not 1e-4 <= min(times) <= max(times) <= 0.1:
         raise InvalidInputError(f"--contact-time {args.contact_time:g} s: give 0.0001 to 0.1 s")
     item = chosen_problem(args)
-    executions = _task(args, item, times) if isinstance(item, Task) else _motion(args, item, times)
+    executed = _task if isinstance(item, Task) else _motion
+    executions, share = executed(args, item, times)
     outcome, why = agreed(executions)
     if args.json:
         runs = [execution.data for execution in executions]
         print(as_json({"outcome": outcome, "why": why, "executions": runs}))
     else:
-        print("\n".join(_lines(executions)))
+        print("\n".join(_lines(executions, share)))
     if args.film is not None:
         from cvqmpt_lab.show.bodies import Frame, drawing_of_frames
         from cvqmpt_lab.show.picture import film_solution
@@ -74,8 +76,13 @@ def run(args: argparse.Namespace) -> int:
     return 0 if outcome == Outcome.EXECUTED else 1
 
 
-def _lines(executions: Sequence[Execution]) -> list[str]:
-    """Return the report on one motion or task executed at several contact times."""
+def _lines(executions: Sequence[Execution], share: str) -> list[str]:
+    """Return the report on one motion or task executed at several contact times.
+
+    Args:
+        executions: the same motion or task at each contact time.
+        share: used part of the limits, in words.
+    """
     first = executions[0]
     outcome, why = agreed(executions)
     times = " and ".join(f"{1e3 * one.contact_time:g}" for one in executions)
@@ -87,8 +94,8 @@ def _lines(executions: Sequence[Execution]) -> list[str]:
     joints = worst(one.off_rad for one in executions)
     tilt = worst(one.tilt_rad for one in executions)
     lines = [
-        f"executed    {first.name}, {first.seconds:.2f} s, by {first.controller}, contact times "
-        f"{times} ms",
+        f"executed    {first.name}, {first.seconds:.2f} s{share}, by {first.controller}, contact "
+        f"times {times} ms",
         f"path        the hand at most {1e3 * off:.2g} mm off it, joints {joints:.2g} rad behind",
         "constraint  "
         + ("" if np.isnan(tilt) else f"tilt {tilt:.3g} rad, ")
@@ -106,26 +113,41 @@ def _lines(executions: Sequence[Execution]) -> list[str]:
     return [*lines, f"outcome     {outcome}{reason}"]
 
 
-def _task(args: argparse.Namespace, task: Task, times: tuple[float, ...]) -> list[Execution]:
-    """Plan and execute a task."""
+def _task(
+    args: argparse.Namespace, task: Task, times: tuple[float, ...]
+) -> tuple[list[Execution], str]:
+    """Plan and execute a task; return also the used part of the limits in words."""
     refuse_given(args, ["motion"], "goes with a problem; a task is always planned, leave it out")
     refuse_given(args, ["hold"], "goes with a problem; in a task fingers hold by friction")
     margin = Margin(args.margin, args.margin_angle).check()
     timing = TimingSettings(speed=args.speed)
     solution = solve_task(task, "birrt", budget(args), args.seed, timing, margin=margin)
-    return [execute_task(solution, args.controller, time) for time in times]
+    executions = [execute_task(solution, args.controller, time) for time in times]
+    return executions, _at_speed(args)
 
 
 def _motion(
     args: argparse.Namespace, problem: PlanningProblem, times: tuple[float, ...]
-) -> list[Execution]:
-    """Execute a motion from a file, or plan one and execute it."""
+) -> tuple[list[Execution], str]:
+    """Execute a motion from a file, or plan one; return also the used part of the limits."""
+    found = None if args.motion is None else read_motion(args.motion)
+    if found is not None:
+        problem = with_limits_of(problem, found)
     # refused before anything is planned
     require_simulated(problem)
     Controller(args.controller, problem.robot)
-    motion = _planned(args, problem) if args.motion is None else _read(args, problem)
+    if found is None:
+        motion, share = _planned(args, problem), _at_speed(args)
+    else:
+        motion, share = _read(args, problem, found.of_joints(problem.robot.joint_names))
     friction = args.hold == "friction"
-    return [execute_motion(problem, motion, args.controller, time, friction) for time in times]
+    times_run = (execute_motion(problem, motion, args.controller, t, friction) for t in times)
+    return list(times_run), share
+
+
+def _at_speed(args: argparse.Namespace) -> str:
+    """Return the part of the limits that a planned motion uses, in words."""
+    return f" at {args.speed:g} of the limits"
 
 
 def _planned(args: argparse.Namespace, problem: PlanningProblem) -> Trajectory:
@@ -143,23 +165,24 @@ def _planned(args: argparse.Namespace, problem: PlanningProblem) -> Trajectory:
     return certified_motion(problem, solution.path, settings)
 
 
-def _read(args: argparse.Namespace, problem: PlanningProblem) -> Trajectory:
-    """Return the motion of a file; InvalidInputError if it is not certified for the problem."""
-    found = read_motion(args.motion).of_joints(problem.robot.joint_names)
+def _read(
+    args: argparse.Namespace, problem: PlanningProblem, found: Motion
+) -> tuple[Trajectory, str]:
+    """Return the motion of a file and the used part of the limits; refuse one not certified."""
     if found.times is None:
         settings = TimingSettings(speed=args.speed)
-        return certified_motion(problem, JointPath(found.positions), settings)
+        return certified_motion(problem, JointPath(found.positions), settings), _at_speed(args)
     if found.velocities is None or found.accelerations is None:
         raise InvalidInputError(
             f"{args.motion} has no accelerations: write it with cvqmpt plan --trajectory"
         )
-    certificate = dry_run(problem, found).certificate
-    if not certificate.valid:
-        raise InvalidInputError(
-            f"{args.motion} is not certified for this problem: {'; '.join(certificate.reasons)}"
-        )
+    judged = dry_run(problem, found)
+    if not judged.certificate.valid:
+        reasons = "; ".join(judged.certificate.reasons)
+        raise InvalidInputError(f"{args.motion} is not certified for this problem: {reasons}")
     states = found.positions, found.velocities, found.accelerations
-    return Trajectory(problem.robot.joint_names, found.times, *states)
+    motion = Trajectory(problem.robot.joint_names, found.times, *states)
+    return motion, share_text(judged.uses)
 
 
 OPTIONS: Options = {

@@ -186,9 +186,10 @@ def _write_trajectory(args: argparse.Namespace, solution: Solution) -> str:
     timing = TimingSettings(speed=args.speed, duration=args.duration)
     motion = certified_motion(solution.problem, solution.path, timing)
     motion = _at_rate(args.rate, solution.problem, motion)
-    save_trajectory(motion, args.trajectory)
+    save_trajectory(motion, args.trajectory, solution.problem.robot.joint_limits)
     return (
-        f"trajectory  {motion.duration:.2f} s at {args.speed:g} of the joint limits, at most "
+        f"trajectory  {motion.duration:.2f} s at {args.speed:g} of the joint limits"
+        f"{' at most' * (args.duration is not None)}, at most "
         f"{bound_text(motion.deviation, up=True)} rad off the path, certified; written to "
         f"{args.trajectory}"
         f"{_not_limited(solution.problem.robot)}"
@@ -214,7 +215,8 @@ def _write_trajectories(args: argparse.Namespace, solution: "TaskSolution") -> s
             sampled = _at_rate(args.rate, outcome.solution.problem, outcome.trajectory)
             motion = replace(outcome, trajectory=sampled).arm_trajectory
             assert motion is not None
-            save_trajectory(motion, args.trajectory / name)
+            limits = outcome.solution.problem.robot.joint_limits
+            save_trajectory(motion, args.trajectory / name, limits)
             step |= {"file": name, "duration_s": outcome.arm_trajectory.duration}
             if len(sampled.joint_names) > len(motion.joint_names):
                 kinds = ("positions", "velocities", "accelerations")

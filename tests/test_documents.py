@@ -176,7 +176,8 @@ def test_a_motion_becomes_the_fields_of_a_ros_2_message(tmp_path, solution):
     motion = time_path(solution.path.states, solution.problem.robot.joint_limits)
     messages = []
     for ending in ("json", "csv"):
-        save_trajectory(motion, tmp_path / f"motion.{ending}")
+        limits = solution.problem.robot.joint_limits
+        save_trajectory(motion, tmp_path / f"motion.{ending}", limits)
         messages.append(names["joint_trajectory"](tmp_path / f"motion.{ending}"))
     assert messages[0] == messages[1]
     message = messages[0]

@@ -6,7 +6,7 @@ polynomials, efforts are bounded between the times at which they are computed.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -75,6 +75,13 @@ class LimitUse(NamedTuple):
         return Fault(
             self.kind, self.text, float(np.interp(self.time, times, np.arange(len(times))))
         )
+
+
+def share_text(uses: Iterable[LimitUse]) -> str:
+    """Return the largest share of limits of velocity and acceleration in words, or ""."""
+    kinds = (FaultKind.VELOCITY, FaultKind.ACCELERATION)
+    shares = [use.share for use in uses if use.kind in kinds]
+    return f" at {max(shares):.2g} of the limits" if shares else ""
 
 
 class Ends(NamedTuple):

@@ -30,6 +30,7 @@ from cvqmpt_lab.collision.carried import reach_with
 from cvqmpt_lab.geometry.polyline import step_lengths
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.frame_speeds import FrameSpeeds
+from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.search.result import JointPath
 from cvqmpt_lab.trajectory.trajectory import Motion, Trajectory
 
@@ -87,6 +88,24 @@ def trajectory_faults(problem: PlanningProblem, motion: Trajectory) -> Sequence[
     """Return why a trajectory is not certified for a problem; empty: it is."""
     states = (motion.positions, motion.times, motion.velocities, motion.accelerations)
     return dry_run(problem, Motion(motion.joint_names, *states)).certificate.reasons
+
+
+def with_limits_of(problem: PlanningProblem, motion: Motion) -> PlanningProblem:
+    """Return the problem with the limits in a motion's file of the kinds that its robot lacks."""
+    robot = problem.robot
+    given = motion.of_joints(robot.joint_names).limits if "articulated" not in robot.source else {}
+    lacking = {"acceleration", "jerk", "torque_rate"} - robot.limits.keys()
+    if not (robot.velocity_limits > 0.0).all():
+        lacking.add("velocity")
+    taken = {
+        kind: given[kind] for kind in given if kind in lacking and np.isfinite(given[kind]).all()
+    }
+    if not taken:
+        return problem
+    source = {f"{kind}_limits": values.tolist() for kind, values in taken.items()}
+    limited = robot_from_source({**robot.source, **source})
+    said = f"limits of {' and '.join(taken)} are those in the file of the motion"
+    return replace(problem, robot=replace(limited, remarks=(*limited.remarks, said)))
 
 
 def dry_run(

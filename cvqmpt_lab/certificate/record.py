@@ -20,6 +20,7 @@ from cvqmpt_lab.certificate.certificate import (
     Deviation,
     FaultKind,
 )
+from cvqmpt_lab.certificate.limit_use import share_text
 from cvqmpt_lab.certificate.motion_check import DryRun
 from cvqmpt_lab.collision.carried import carried_pairs, pairs_of_carried, reach_with
 from cvqmpt_lab.collision.exact import COAL_ROUNDING_M
@@ -142,7 +143,8 @@ def report_lines(found: DryRun, contents: dict[str, Any]) -> list[str]:
     certificate = found.certificate
     what = "path"
     if found.times is not None:
-        what = f"trajectory of {found.times[-1]:.3f} s, as {found.curve} pieces"
+        share = share_text(found.uses)
+        what = f"trajectory of {found.times[-1]:.3f} s{share}, as {found.curve} pieces"
     states = "x".join(map(str, np.shape(found.states)))
     word = "certified" if certificate.valid else f"not certified: {certificate.verdict}"
     lines = [f"certificate {word}; {what}, {states} states, problem {contents['problem']}"]

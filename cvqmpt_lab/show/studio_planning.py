@@ -292,7 +292,9 @@ class Studio:
                 from cvqmpt_lab.trajectory.timing import TimingSettings  # half a second to import
 
                 motion = certified_motion(response.problem, path, TimingSettings(speed))
-                return "motion.json", as_ros_json(motion).encode()
+                return "motion.json", as_ros_json(
+                    motion, response.problem.robot.joint_limits
+                ).encode()
         raise UnknownChoiceError("file", kind, ("problem", "page", "picture", "trajectory"))
 
 

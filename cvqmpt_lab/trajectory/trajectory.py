@@ -21,7 +21,7 @@ import json
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -34,8 +34,9 @@ from cvqmpt_lab.base.errors import (
     require_choice,
     shown,
 )
-from cvqmpt_lab.base.files import csv_table, json_value, write_text, yaml_value
+from cvqmpt_lab.base.files import csv_table, finite, json_value, write_text, yaml_value
 from cvqmpt_lab.base.values import numbers
+from cvqmpt_lab.robot.robot import LIMIT_UNITS, JointLimits
 from cvqmpt_lab.scene.cloud_files import kind_of, read_by_suffix
 from cvqmpt_lab.trajectory.bags import is_bag, message_of_bag
 from cvqmpt_lab.trajectory.ros_messages import joint_trajectory, nanoseconds
@@ -112,6 +113,8 @@ class Motion:
     times: np.ndarray | None = None  # (m,) [s]; None: it is a path
     velocities: np.ndarray | None = None  # (m, n) [rad/s or m/s], only with times
     accelerations: np.ndarray | None = None  # (m, n) [rad/s^2 or m/s^2]; None: not in the file
+    # (n,) by kind: limits that the file says it was timed with, inf where there is none
+    limits: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     def of_joints(self, names: tuple[str, ...]) -> Motion:
         """Reorder the joints as in `names`; InvalidInputError if the joints are others."""
@@ -127,7 +130,9 @@ class Motion:
             None if kind is None else kind[:, order]
             for kind in (self.velocities, self.accelerations)
         )
-        return Motion(names, self.positions[:, order], self.times, velocities, accelerations)
+        limits = {kind: values[order] for kind, values in self.limits.items()}
+        states = self.positions[:, order]
+        return Motion(names, states, self.times, velocities, accelerations, limits)
 
     def at_speed(self, factor: float) -> Motion:
         """Return a trajectory with `factor` times the speed, 0 < factor; a path is unchanged."""
@@ -142,10 +147,15 @@ class Motion:
         )
 
 
-def save_trajectory(trajectory: Trajectory, path: Path | str) -> None:
-    """Write a .csv or .json file."""
-    text_of = TRAJECTORY_WRITERS[kind_of(path, TRAJECTORY_WRITERS, "trajectory")]
-    write_text(Path(path), text_of(trajectory))
+def save_trajectory(
+    trajectory: Trajectory, path: Path | str, limits: JointLimits | None = None
+) -> None:
+    """Write a .csv or .json file; json also has the limits with which the motion was timed."""
+    kind = kind_of(path, TRAJECTORY_WRITERS, "trajectory")
+    text = TRAJECTORY_WRITERS[kind](trajectory)
+    if limits is not None and kind == ".json":
+        text = as_ros_json(trajectory, limits)
+    write_text(Path(path), text)
 
 
 def as_csv(trajectory: Trajectory) -> str:
@@ -159,8 +169,11 @@ def as_csv(trajectory: Trajectory) -> str:
     return csv_table([["time", *columns], *table.tolist()])
 
 
-def as_ros_json(trajectory: Trajectory) -> str:
-    """Text of a json file with the fields of ROS's `trajectory_msgs/JointTrajectory`."""
+def as_ros_json(trajectory: Trajectory, limits: JointLimits | None = None) -> str:
+    """Text of a json file with the fields of ROS's `trajectory_msgs/JointTrajectory`.
+
+    limits: of the robot, written by kind as "limits", null where a joint has none; None: left out.
+    """
     state = (trajectory.positions, trajectory.velocities, trajectory.accelerations)
     duration = ("sec", "nanosec")
     points = [
@@ -174,7 +187,16 @@ def as_ros_json(trajectory: Trajectory) -> str:
         for t, q, v, a in zip(trajectory.times, *state, strict=True)
     ]
     header = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""}
-    message = {"header": header, "joint_names": list(trajectory.joint_names), "points": points}
+    message: dict[str, Any] = {"header": header, "joint_names": list(trajectory.joint_names)}
+    if limits is not None:
+        own = [limits.joint_names.index(name) for name in trajectory.joint_names]
+        known = {kind: getattr(limits, kind) for kind in LIMIT_UNITS}
+        message["limits"] = {
+            kind: finite(values[own].tolist())
+            for kind, values in known.items()
+            if values is not None
+        }
+    message["points"] = points
     return json.dumps(message, allow_nan=False) + "\n"
 
 
@@ -286,8 +308,10 @@ def _from_value(found: Any) -> Motion:
             raise InvalidInputError(f"'joint_names' {shown(names)}: give a list of names")
         names = tuple(names)
     if key is None:
-        _refuse_unknown("the trajectory", content, ("header", "joint_names", "joints", "points"))
-        return _from_points(names, content["points"])
+        known = ("header", "joint_names", "joints", "points", "limits")
+        _refuse_unknown("the trajectory", content, known)
+        motion = _from_points(names, content["points"])
+        return replace(motion, limits=_limits(content.get("limits", {}), motion))
     return Motion(names, _table(content[key]))
 
 
@@ -318,6 +342,21 @@ def _from_points(names: tuple[str, ...] | None, points: list[dict[str, Any]]) ->
         [seconds + 1e-9 * rest for seconds, rest in (divmod(t, 10**9) for t in elapsed)]
     )
     return Motion(names, kinds[0], times, kinds[1], kinds[2])
+
+
+def _limits(given: Any, motion: Motion) -> dict[str, np.ndarray]:
+    """Return the limits of a file by kind, inf where it says null."""
+    _refuse_unknown("limits", given, tuple(LIMIT_UNITS))
+    found = {}
+    for kind, row in given.items():
+        count = motion.positions.shape[1]
+        if not isinstance(row, list) or len(row) != count:
+            raise InvalidInputError(f"limits: {kind} is {shown(row)}; give {count} numbers or null")
+        values = numbers([math.inf if x is None else x for x in row], f"limits: {kind}")
+        if not (values > 0.0).all():
+            raise InvalidInputError(f"limits: {kind} is {shown(row)}; give numbers above 0")
+        found[kind] = values
+    return found
 
 
 def _refuse_unknown(where: str, value: Any, known: Sequence[str]) -> None:

@@ -9,9 +9,11 @@ from command_line import refused
 from numpy.polynomial import Polynomial
 from refusals import DATA
 
+from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.benchmarks.place_task import SHELF_DOOR, carried_can
 from cvqmpt_lab.certificate import between_states
+from cvqmpt_lab.certificate.motion_check import with_limits_of
 from cvqmpt_lab.cli.main import main
 from cvqmpt_lab.constraints.report import displacements
 from cvqmpt_lab.experiments.experiment import Experiment
@@ -25,7 +27,7 @@ from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, Sphere
 from cvqmpt_lab.search.result import Budget, JointPath
 from cvqmpt_lab.trajectory.timing import TimingSettings, time_path
-from cvqmpt_lab.trajectory.trajectory import as_csv, as_ros_json
+from cvqmpt_lab.trajectory.trajectory import as_csv, as_ros_json, read_motion, save_trajectory
 
 MIDDLE = 40
 
@@ -252,6 +254,28 @@ def test_accelerations_that_are_not_the_cubics_are_judged_as_quintics(
     found = judged("\n".join(lines), problem)
     assert (found[0], found[1]["curve"]) == (code, curve)
     assert [fault["kind"] for fault in found[1]["faults"]] == ["collision"] * code
+
+
+def test_limits_of_the_file_stand_in_for_those_that_the_robot_lacks(
+    judged, region_problem, trajectory, jerky_panda, panda, tmp_path
+):
+    limits = replace(panda.joint_limits, acceleration=1e3, effort=np.full(7, np.inf))
+    save_trajectory(trajectory, tmp_path / "motion.json", limits)
+    problem = replace(region_problem, robot=jerky_panda)
+    limited = with_limits_of(problem, read_motion(tmp_path / "motion.json")).robot
+    assert limited.limits["jerk"].tolist() == panda.limits["jerk"].tolist()
+    np.testing.assert_array_equal(
+        limited.joint_limits.acceleration, jerky_panda.limits["acceleration"]
+    )
+    code, found = judged((tmp_path / "motion.json").read_text(), problem, name="motion.json")
+    assert code == 0 and found["jerk"] == "judged"
+    assert "limits of jerk are those in the file of the motion" in found["compared"]["notes"]
+    wrong = json.loads((tmp_path / "motion.json").read_text())
+    for row, told in ([-1.0] * 7, "jerk is .* numbers above 0"), ([1.0], "give 7 numbers or null"):
+        wrong["limits"]["jerk"] = row
+        (tmp_path / "motion.json").write_text(json.dumps(wrong))
+        with pytest.raises(InvalidInputError, match=told):
+            read_motion(tmp_path / "motion.json")
 
 
 @pytest.mark.parametrize(("share", "code"), [(1.0025, 1), (1.0005, 0)])
