@@ -2,6 +2,7 @@
 
 import ast
 import re
+import runpy
 import shlex
 import subprocess
 import sys
@@ -17,6 +18,7 @@ from cvqmpt_lab.trajectory.trajectory import save_trajectory
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = sorted((ROOT / "notebooks" / "examples").glob("*.py"))
+OUTPUTS = runpy.run_path(str(ROOT / "docs" / "compare_outputs.py"))
 PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
 QUICK = ("plan", "place-task-with-can"), ("robot", "ur5"), ("problems", "new")
 QUICK += (("plan", "--problem-file"),)
@@ -132,6 +134,26 @@ def test_the_short_examples_run_in_an_empty_folder(example, tmp_path):
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip() and "not solved" not in done.stdout
+    texts = re.findall(r"```text\n(.*?)```", (ROOT / "docs" / "gallery.md").read_text(), re.DOTALL)
+    shown = dict(zip(EXAMPLES, texts, strict=True))[example]
+    assert list(OUTPUTS["differences"](shown, done.stdout)) == [], "python docs/gallery.py"
+
+
+def test_outputs_are_compared_up_to_numbers_times_and_marked_cells(tmp_path):
+    def differ(shown, now):
+        return len(list(OUTPUTS["differences"](shown, now)))
+
+    table = "| planner | time [s] | work |\n|---|---|---|\n| a | {} | {} |"
+    assert differ(table.format(1.0, "**100**"), table.format(9.0, "**101**")) == 0
+    assert differ(table.format(1.0, 100), table.format(1.0, 110)) == 1
+    assert differ("goals 3.5 ms, 0.12 rad", "goals 90 ms, 0.13 rad") == 0
+    assert differ("solved", "timeout") == differ("one\ntwo", "one") == 1
+    notebook, cell = nbformat.v4.new_notebook(), nbformat.v4.new_code_cell("1")
+    cell.outputs = [nbformat.v4.new_output("stream", text="1 rad")]
+    marked = nbformat.v4.new_code_cell("2", metadata={"tags": ["not-compared"]})
+    notebook.cells = [cell, marked]
+    nbformat.write(notebook, tmp_path / "a.ipynb")
+    assert OUTPUTS["texts"](tmp_path / "a.ipynb") == ["1 rad"]
 
 
 def test_a_sampler_of_ones_own_is_a_function(tmp_path, monkeypatch):

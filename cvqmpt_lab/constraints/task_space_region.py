@@ -90,7 +90,7 @@ class TaskSpaceRegion(Checked):
     lower <= x <= upper, x = (t, Log R, tilt, distance, radius, bearing), with t, R the parts of
     (T0_w)^-1 T0_e (Tw_e)^-1. The tilt is the angle between the z axes of w and of the displaced
     frame, (0, 0, 1) and R z. A bound of 0 becomes rotation about x and y of 0: the same poses, and
-    smooth there. The distance is |t|, the radius |(t_x, t_y)|, the distance from the z axis of w.
+    smooth there. The distance is `|t|`; the radius `|(t_x, t_y)|` is that from the z axis of w.
     The bearing is the angle between the z axis of the displaced frame and the line from its origin
     to the origin of w: how far off its axis e sees that point.
     """
