@@ -12,13 +12,22 @@ import numpy as np
 
 from cvqmpt_lab.base.codec import from_plain
 from cvqmpt_lab.base.errors import InvalidInputError
-from cvqmpt_lab.base.files import read_json_object
+from cvqmpt_lab.base.files import csv_table, read_json_object, write_text
 from cvqmpt_lab.base.values import Array, FloatArray
-from cvqmpt_lab.certificate.judge import Judgement, judge
+from cvqmpt_lab.certificate.judge import ClearanceAt, Judgement, clearance_along, judge
 from cvqmpt_lab.certificate.limit_use import Ends, LimitUse, share_text
 from cvqmpt_lab.certificate.motion_check import dry_run, with_limits_of
 from cvqmpt_lab.certificate.record import record, report_lines
-from cvqmpt_lab.cli.options import FLAG, Options, log, numbers, option, positive, refuse_given
+from cvqmpt_lab.cli.options import (
+    FLAG,
+    Options,
+    file_of_kind,
+    log,
+    numbers,
+    option,
+    positive,
+    refuse_given,
+)
 from cvqmpt_lab.cli.problem_arguments import chosen_problem, chosen_robot, robot_source
 from cvqmpt_lab.cli.problem_options import PROBLEM, ROBOT
 from cvqmpt_lab.problem import PlanningProblem
@@ -65,6 +74,11 @@ def _told(
 ) -> int:
     """Print a judgement; return the exit code."""
     contents = record(problem, motion, judged.check, judged.speed)
+    if args.clearance_out is not None:
+        if not np.isfinite(judged.check.states).all():
+            raise InvalidInputError("--clearance-out: the motion has states that are not finite")
+        rows = clearance_along(problem, judged.check)
+        write_text(args.clearance_out, csv_table([ClearanceAt._fields, *rows]))
     lines = report_lines(judged.check, contents)
     print(json.dumps(contents, indent=1, allow_nan=False) if args.json else "\n".join(lines))
     return 0 if judged.certified else 1
@@ -244,6 +258,12 @@ OPTIONS: Options = {
     ),
     "--problems-dir": option(
         "folder of the problem files, for the directory of a run of them", type=Path, metavar="DIR"
+    ),
+    "--clearance-out": option(
+        "write the distances from obstacles and of the robot from itself at 200 states, evenly in "
+        "time",
+        type=partial(file_of_kind, "--clearance-out", (".csv",)),
+        metavar="OUT.csv",
     ),
     "--current": option(
         "current configuration of the arm, in quotes [rad]; the motion must begin there",

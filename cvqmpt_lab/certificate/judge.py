@@ -1,10 +1,14 @@
 """Judgement of a motion that somebody else made: whole, or in parts as a policy sends them."""
 
+from collections.abc import Iterator
 from typing import NamedTuple
+
+import numpy as np
 
 from cvqmpt_lab.certificate.certificate import Fault
 from cvqmpt_lab.certificate.limit_use import Ends
 from cvqmpt_lab.certificate.motion_check import DryRun, dry_run, speed_within_limits
+from cvqmpt_lab.geometry.polyline import distances_along, states_at
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.trajectory.trajectory import JointState, Motion
 
@@ -33,6 +37,29 @@ class Judgement(NamedTuple):
         """Least proven distance from obstacles [m]; -inf without a proof, inf without obstacles."""
         clearance = self.check.certificate.obstacle_clearance
         return float("inf") if clearance is None else clearance.at_least_m
+
+
+class ClearanceAt(NamedTuple):
+    """Distances at one state of a motion."""
+
+    at: float  # time [s], or length along a path [rad or m]
+    obstacles_m: float  # least distance from obstacles [m]; inf without any
+    obstacles: str  # the nearest pair
+    itself_m: float  # least distance of the robot's own pieces [m]
+    itself: str  # the nearest pair
+
+
+def clearance_along(
+    problem: PlanningProblem, check: DryRun, count: int = 200
+) -> Iterator[ClearanceAt]:
+    """Yield the distances at `count` states, evenly in time, or along a path without times."""
+    checker, states = problem.collision_checker(), check.states
+    marks = distances_along(states) if check.times is None else check.times
+    at = np.linspace(0.0, marks[-1], count)
+    for moment, q in zip(at.tolist(), states_at(states, marks, at), strict=True):
+        obstacle, own = checker.nearest_obstacle(q), checker.nearest_of_itself(q)
+        pairs = (str(found.pair or "") for found in (obstacle, own))
+        yield ClearanceAt(moment, obstacle.distance, next(pairs), own.distance, next(pairs))
 
 
 def judge(

@@ -339,9 +339,20 @@ def test_positions_with_times_are_judged_as_spline_and_as_lines(judged, trajecto
     assert judged("\n".join(map(",".join, positions)))[0] == 0
 
 
+def test_clearance_along_time_is_written(judged, trajectory, tmp_path):
+    out = tmp_path / "clearance.csv"
+    _, found = judged(as_csv(trajectory), options=["--clearance-out", str(out)])
+    head, *rows = (line.split(",") for line in out.read_text().splitlines())
+    assert head == ["at", "obstacles_m", "obstacles", "itself_m", "itself"] and len(rows) == 200
+    assert float(rows[-1][0]) == trajectory.duration
+    least = min(min(float(row[1]), float(row[3])) for row in rows)
+    assert found["min_clearance_m"] - 1e-6 <= least <= found["min_clearance_m"] + 2e-3
+
+
 @pytest.mark.parametrize(
     ("options", "told"),
     [
+        (["--clearance-out", "a.txt"], "--clearance-out a.txt: suffix '.txt'"),
         (["--part"], "--part: a part of a motion begins where the arm is: give --current"),
         (["--start-velocity", "1 2"], "--start-velocity has 2 numbers; give 7"),
         (["--end-velocity", "1 2 fast"], "--end-velocity '1 2 fast': write numbers"),
