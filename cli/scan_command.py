@@ -104,7 +104,7 @@ def scene_of(args: argparse.Namespace, made: Scan, robot: Robot, arm: Arm | None
     The space inside `arm` counts as seen.
     """
     scene = _obstacles_of(args, made, arm)
-    if args.unknown == "occupied" and args.radius is None:
+    if args.unknown == "occupied":
         return scene
     share = unseen_share(made.captures, robot.reach, arm)
     return replace(scene, unseen=round(share, 3))
@@ -113,6 +113,11 @@ def scene_of(args: argparse.Namespace, made: Scan, robot: Robot, arm: Arm | None
 def _obstacles_of(args: argparse.Namespace, made: Scan, arm: Arm | None) -> Scene:
     """Return the scan as obstacles."""
     if args.radius is not None:
+        if args.unknown == "occupied":
+            raise InvalidInputError(
+                f"--radius {args.radius:g} makes balls of points, --unknown occupied cells: leave "
+                "one of the two out"
+            )
         return made.scene(PointCloud(made.points, args.radius) if len(made.points) else None)
     if len(made.points) == 0 and args.unknown == "free":
         return made.scene()
@@ -215,8 +220,18 @@ def _start(args: argparse.Namespace, robot: Robot) -> np.ndarray:
 def scanned(args: argparse.Namespace, arm: Arm) -> Scan:
     """Make a scan of the files of --cloud, and write its report to standard error."""
     made = scan_of(args, args.cloud, arm.robot, arm)
-    log("\n".join(scan_report(made, args.cloud)))
+    log("\n".join((*scan_report(made, args.cloud), *_spared(args, arm))))
     return made
+
+
+def _spared(args: argparse.Namespace, arm: Arm | None) -> list[str]:
+    """Return a line on where --unknown occupied makes no obstacles."""
+    if args.unknown != "occupied":
+        return []
+    spared = "the arm may stand in them: give --arm-at Q, its configuration, to leave out its own"
+    if arm is not None:
+        spared = f"except those in which {arm.robot.name} stands during the scan"
+    return [f"unknown     cells that no ray crossed are obstacles, {spared}"]
 
 
 def arm_of(args: argparse.Namespace, robot: Robot, q: np.ndarray) -> Arm:
@@ -261,7 +276,7 @@ def run(args: argparse.Namespace) -> None:
     check_extent(scene, robot.reach, "scan")
     if arm is not None:
         refuse_touching(scene, arm)
-    print("\n".join(scan_report(made, args.files)))
+    print("\n".join((*scan_report(made, args.files), *_spared(args, arm))))
     for note in scene.notes:
         print(f"unseen      {note}")
     for path in args.out:

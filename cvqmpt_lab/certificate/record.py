@@ -284,6 +284,7 @@ def _compared(problem: PlanningProblem) -> dict[str, Any]:
         "own_pairs": len(robot.collision_model.collisionPairs) + own,
         "left_out": left_out,
         "links_without_body": list(robot.bodiless),
+        "unseen": problem.scene.unseen,
         "notes": problem.notes,
     }
 

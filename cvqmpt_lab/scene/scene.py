@@ -101,7 +101,10 @@ class Scene(Checked):
             seen = f"{self.unseen:.0%} of the arm's reach"
         else:
             return []
-        return [f"{self.name}: {seen} is unseen and counts as free; --unknown occupied avoids it"]
+        return [
+            f"{self.name}: free only where a camera saw it: {seen} is unseen and counts as free; "
+            "--unknown occupied avoids it"
+        ]
 
     def _check(self) -> None:
         scene = f"scene {self.name!r}"

@@ -283,13 +283,16 @@ def occupancy_map(
         settings: settings of the map.
         captures: all captures of the sensors, used if unknown cells are occupied: cells between a
             sensor and its points are known.
-        arm: the robot during the scan; cells around it are known.
+        arm: the robot during the scan; cells around it, and all that it stands in, are known.
 
     Raises:
         InvalidInputError: no cell is occupied; unknown cells without captures; too many cells.
     """
     if settings.unknown == "occupied":
-        points = np.concatenate([points, _unknown(settings, captures, arm)])
+        # from a cell's middle to its farthest corner, and 5 mm for the margin of planning
+        across = 0.5 * np.sqrt(3.0) * settings.resolution + settings.padding + 0.005
+        spared = replace(settings, robot_margin=max(settings.robot_margin, across))
+        points = np.concatenate([points, _unknown(spared, captures, arm)])
     if len(points) == 0:
         raise InvalidInputError("no point is left for a map; crop less, or plan without a map")
     return map_of_points(points, settings.resolution, settings.padding)

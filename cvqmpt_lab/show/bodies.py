@@ -98,6 +98,7 @@ class Drawing:
     times: np.ndarray | None = None  # (m,) of a task's states [s]
     plots: Sequence[Plot] = ()
     lines: Sequence[str] = ()  # text below the drawing on a web page
+    unseen: Sequence[str] = ()  # lines on space that nobody saw, in amber on a web page
 
     @property
     def floor(self) -> list[Body]:
@@ -234,6 +235,7 @@ def drawing_of_problem(
         [f"state {k} of {len(states) - 1}, {s:.2f} rad" for k, s in enumerate(travelled)],
         plots=plots_along(problem, states) if plots and path is not None else (),
         lines=lines,
+        unseen=problem.scene.notes,
     )
 
 
@@ -433,6 +435,7 @@ def drawing_of_frames(
         np.array([frame.time for frame in frames]),
         plots_over(motion) if plots else (),
         lines=lines,
+        unseen=scene.notes,
     )
 
 

@@ -104,6 +104,7 @@ def _html(drawing: Drawing, size: tuple[int, int] = (1100, 600)) -> str:
     data = {
         "title": drawing.title,
         "lines": list(drawing.lines),
+        "unseen": list(drawing.unseen),
         "states": len(labels),
         "labels": labels,
         # duration of the animation [s]

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from command_line import SCAN_START, run_here
+from command_line import SCAN_START, refused, run_here
 from PIL import Image
 from scipy.spatial import cKDTree
 
@@ -27,7 +27,7 @@ def camera(scan_folder):
 
 
 def test_a_depth_image_becomes_a_clean_cloud_and_a_scene(
-    scan_folder, camera, tmp_path, cvqmpt, panda
+    scan_folder, camera, tmp_path, cvqmpt, panda, capsys
 ):
     out = [tmp_path / name for name in ("clean.pcd", "scene.json")]
     words = ["--arm-at", START, "--plane", "box", "--out", out[0], "--out", out[1]]
@@ -39,6 +39,12 @@ def test_a_depth_image_becomes_a_clean_cloud_and_a_scene(
     scene = read_scene(out[1])
     assert set(scene.names) == {"scan", "table"} and scene["scan"].shape.resolution == 0.02
     assert 0.5 < scene.unseen < 1.0 and f"{scene.unseen:.0%} of the arm's reach is unseen" in told
+    unknown = ["--arm-at", START, "--unknown", "occupied"]
+    told = cvqmpt("scan", scan_folder / "depth.png", *camera, *unknown)
+    assert "obstacles, except those in which panda stands during the scan" in told
+    assert "unseen" not in told
+    words = ["scan", scan_folder / "depth.png", *camera, "--radius", "0.02", *unknown]
+    assert "--radius 0.02 makes balls" in refused(capsys, *words)
     off, _ = cKDTree(scene["scan"].shape.centres).query(points, p=np.inf)
     assert off.max() < 0.01 + 1e-6, "every point lies in a cell"
 

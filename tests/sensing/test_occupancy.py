@@ -1,9 +1,13 @@
 """Occupancy maps have the cells of points and unknown cells, which no ray crosses."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from cvqmpt_lab.base.poses import pose
+from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.scene.cloud_files import Cloud
+from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.sensing.scan import Arm, MapSettings, occupancy_map
 
 EYE = np.array([-1.0, 0.05, 0.45])
@@ -42,6 +46,10 @@ def test_cells_behind_a_surface_are_unknown(panda):
     assert 0.3 < hand[0] < 0.7 and occupied(scanned, [hand]) == [True]
     spared = occupancy_map(plate, ROOM, seen, Arm(panda, q))
     assert occupied(spared, [hand, on, (0.95, 0.0, 0.05)]) == [False, True, True]
+    coarse = replace(ROOM, resolution=0.1, robot_margin=0.0)
+    for arm, meets in ((None, True), (Arm(panda, q), False)):
+        unseen = SceneObject("map", occupancy_map(plate[:0], coarse, seen, arm), np.eye(4))
+        assert CollisionChecker(panda, Scene("unseen", (unseen,))).in_collision(q) == meets
 
 
 def test_rays_cross_the_cells_of_fine_samples_along_them():

@@ -33,13 +33,16 @@ def array(text):
 
 
 def test_a_page_holds_the_motion_and_its_plots(solution, tmp_path):
-    named = replace(solution, problem=replace(solution.problem, name="a</script><!--<script>b"))
+    seen = replace(solution.problem.scene, unseen=0.38)
+    named = replace(solution.problem, name="a</script><!--<script>b", scene=seen)
+    named = replace(solution, problem=named)
     save_page(named, tmp_path / "a.html")
     assert "<!--" not in (tmp_path / "a.html").read_text()
     data = data_of(tmp_path / "a.html")
     states = solution.path.states
     assert data["title"].startswith("a</script><!--<script>b: panda, solved")
     assert data["states"] == len(states)
+    assert ["38% of the arm's reach is unseen" in line for line in data["unseen"]] == [True]
     robot = [body for body in data["bodies"] if body["group"] == "robot"]
     assert len(robot) == len(solution.problem.robot.links)
     fingers = np.linalg.inv(solution.problem.robot.poses(states, "panda_rightfinger"))
