@@ -184,6 +184,7 @@ def _reproduce_all(args: argparse.Namespace) -> None:
     figure, count = "histogram", 30
     folder = out / figure
     if not (folder / PROVENANCE_FILE).is_file():
+        log(f"{figure}: {count} problems of a figure take less than a minute")
         command = ["cvqmpt", "figure", figure, "--problems", str(count), "--out", str(folder)]
         reproduce_figure(figure, folder, command, range(count))
     page = out / "claims.md"

@@ -36,8 +36,11 @@ def test_it_writes_rows_tables_verdicts_and_the_report_and_goes_on_where_it_was(
     one = Amount(profile="small", problems=1, cutoff=5.0)
     suite = replace(SUITES["place-task"], planners=("birrt",), amounts=(one,))
     monkeypatch.setattr(experiment, "SUITES", {"place-task": suite})
-    words = f"reproduce all --profile small --jobs 1 --out {tmp_path}"
+    words, said = f"reproduce all --profile small --jobs 1 --out {tmp_path}", []
+    monkeypatch.setattr("cvqmpt_lab.cli.reproduce_command.log", said.append)
     lines = cvqmpt(words).splitlines()
+    assert said[0].startswith("place-task: 1 runs on 1 processes take about ")
+    assert said[1].startswith("histogram: 30 problems")
     assert "A path in 3-D: problem 0, birrt, seed 0" in (tmp_path / "report.html").read_text()
     assert "own verdict" in lines[1] and "committed verdict" in lines[1]
     told = zip(lines[2 : 2 + len(CLAIMS)], CLAIMS, strict=True)
