@@ -10,6 +10,8 @@ import runpy
 import tempfile
 from pathlib import Path
 
+from PIL import Image
+
 from cvqmpt_lab import draw
 
 DOCS = Path(__file__).parent
@@ -39,7 +41,13 @@ def main() -> None:
         printed = said.getvalue().strip()
         parts.append(f"## {title}\n\n```python\n{code}\n```\n\n```text\n{printed}\n```\n")
         if shown is not None:
-            image = draw(shown, size=(750, 500))
+            several = names.get("solutions", (shown,))
+            columns = min(3, len(several))
+            across, high = (750, 500) if columns == 1 else (500, 380)
+            image = Image.new("RGB", (columns * across, -(-len(several) // columns) * high))
+            for k, each in enumerate(several):
+                at = (k % columns * across, k // columns * high)
+                image.paste(draw(each, size=(across, high)).convert("RGB"), at)
             image.quantize(96).save(picture, optimize=True)
             parts.append(f"![{title}](gallery/{picture.name})\n")
         print(f"{program.stem}: {'picture' if shown is not None else 'text'}")

@@ -298,6 +298,7 @@ def _scene_suites() -> list[Suite]:
                 ),
             ),
         ),
+        *_more_constraints(),
         Suite(
             name="open-door",
             title="Open the shelf's door, the hand on its handle",
@@ -407,6 +408,46 @@ def _scene_suites() -> list[Suite]:
                     "{ratios}",
                 ),
             ),
+        ),
+    ]
+
+
+def _more_constraints() -> list[Suite]:
+    """Suites of constraints that are no bounds on a hand's pose: the Panda, and two other arms."""
+    kinds = (
+        "Look-at: the hand looks at a point within 0.15 rad, from a range. Distance: the hand "
+        "keeps its distance from the second joint within 1 cm. Sphere, cylinder: the origin of the "
+        "hand stays on it within 2 mm."
+    )
+    unknown = (
+        "It is not known whether each problem has a solution: only without obstacles a short "
+        "search reaches a goal."
+    )
+    suite = partial(Suite, problems=range(80), amounts=(Amount(cutoff=5.0),))
+    table = partial(_table, "layouts:group_table", what="constraint")
+    return [
+        suite(
+            name="constraints-more",
+            title="Constraints that are no bounds on a hand's pose, zero-shot",
+            make=_problem("more_constraints:more_constraints_problem"),
+            planners=("birrt", "ompl-projected", "ompl-cvq", "cvq-mpt", "opt-cvq-mpt"),
+            table=table(
+                notes=(
+                    "A Panda in held-out scenes; weights were trained without constraints. "
+                    + unknown,
+                    "{ratios}",
+                    kinds,
+                )
+            ),
+        ),
+        suite(
+            name="constraints-more-arms",
+            title="The same with a UR5 and the left arm of the humanoid Talos",
+            make=_problem(
+                "more_constraints:more_constraints_problem", arms=("ur5", "talos-left-arm")
+            ),
+            planners=("birrt", "ompl-projected"),  # no shipped weights fit
+            table=table(notes=(unknown, "{ratios}", kinds)),
         ),
     ]
 

@@ -331,7 +331,7 @@ def constraint_problem(index: int) -> PlanningProblem | UnsolvableProblem:
     # until the goals can be reached, and none of them by a straight motion
     for _ in range(12):
         posed = _posed(kind, number, name, rng)
-        if posed is None or not len(posed.goals) or not _within_reach(posed):
+        if posed is None or not len(posed.goals) or not within_reach(posed):
             continue
         if not trivial(posed):
             return posed
@@ -347,7 +347,7 @@ def trivial(problem: PlanningProblem) -> bool:
     return any(direct_motion(space, problem.start, goal) is not None for goal in problem.goals)
 
 
-def _within_reach(problem: PlanningProblem) -> bool:
+def within_reach(problem: PlanningProblem) -> bool:
     """Return whether a short search without obstacles finds a path within the joint limits."""
     alone = ConstrainedSpace.of(replace(problem, scene=Scene("empty", ())))
     budget, rng = Budget(iterations=300), np.random.default_rng(0)

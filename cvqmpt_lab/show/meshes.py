@@ -7,10 +7,11 @@ from functools import lru_cache
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegionChain
+from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, TaskSpaceRegionChain
 from cvqmpt_lab.geometry.convex import prism_around
 from cvqmpt_lab.geometry.polyline import distances_along, states_at
 from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.cells import blocks_of
 from cvqmpt_lab.scene.shapes import (
     Box,
@@ -175,7 +176,8 @@ def constraint_marks(
 
     A plane or line shows the allowed positions of the origin of e in w. A cone, at both ends of the
     path, shows the allowed directions of an axis whose tilt is bounded, or about which rotation is
-    free. An arc shows the path of a region that is attached to a door, over the door's range.
+    free. An arc shows the path of a region that is attached to a door, over the door's range. Balls
+    show the part of a sphere or cylinder near the path, rods what a distance or bearing is about.
 
     Args:
         problem: the problem with the regions.
@@ -188,6 +190,7 @@ def constraint_marks(
     """
     robot, reach = problem.robot, problem.robot.reach
     for region in problem.constraint:
+        yield from _surface_marks(problem.robot, region, states, length * reach, radius)
         if isinstance(region, TaskSpaceRegionChain):
             # one joint: that of a door; a region attached to the other hand is not drawn
             moved = np.flatnonzero(robot.movers(region.links(robot)[0][0]))
@@ -217,6 +220,42 @@ def constraint_marks(
             for T in T_world_w[[0, -1]]:
                 yield cone(T[:3, 3], length * reach * region.T0_w[:3, turning[0]], tilt)
                 yield rod(T[:3, 3], T[:3, 3] + length * reach * T[:3, turning[0]], radius)
+
+
+def _surface_marks(
+    robot: Robot, region: TaskSpaceRegion, states: np.ndarray, near: float, radius: float
+) -> Iterator[Mesh]:
+    """Yield meshes of a region's distance, radius and bearing around a path.
+
+    Args:
+        robot: the robot.
+        region: the region.
+        states: states (m, n) of the path [rad or m].
+        near: largest distance of balls from the path [m].
+        radius: radius of balls and rods [m].
+    """
+    rows = set(region.bounded_rows.tolist())
+    if not rows & {7, 8, 9}:
+        return
+    T_world_w = region.reference_poses(robot, states)
+    places = (robot.poses(states, region.end_effector) @ np.linalg.inv(region.Tw_e))[:, :3, 3]
+    low, high = region.bounds[8 if 8 in rows else 7]
+    points = np.empty((0, 3))
+    if len(T_world_w) == 1 and high - low < 0.02:  # a surface that stands still [m]
+        points = _sphere_points(6000)
+        if 8 in rows:
+            along = (places - T_world_w[0, :3, 3]) @ T_world_w[0, :3, 2]
+            points /= np.linalg.norm(points[:, :2], axis=1, keepdims=True)
+            heights = np.linspace(along.min() - near, along.max() + near, len(points))
+            points[:, 2] = np.random.default_rng(0).permutation(heights) / high
+        points = high * points @ T_world_w[0, :3, :3].T + T_world_w[0, :3, 3]
+        away = np.linalg.norm(points[:, None] - places[:: 1 + len(places) // 50], axis=2)
+        points = points[away.min(axis=1) < near]
+    if len(points):
+        yield _copies(hull_mesh(1.5 * radius * _sphere_points(12)), points)
+    if rows & {7, 9}:
+        for k in (0, -1):
+            yield rod(places[k], T_world_w[min(k, len(T_world_w) - 1), :3, 3], radius)
 
 
 def axes_marks(
