@@ -202,9 +202,10 @@ def _motion_of(folder: Path, step: Mapping[str, Any], index: Path) -> Motion:
         None if kind is None else np.column_stack([kind, column])
         for kind, column in zip(kinds, columns, strict=True)
     ]
-    assert joined[0] is not None
+    positions, velocities, accelerations = joined
+    assert positions is not None
     names = None if motion.joint_names is None else (*motion.joint_names, held.joint)
-    return Motion(names, joined[0], motion.times, *joined[1:])
+    return Motion(names, positions, motion.times, velocities, accelerations)
 
 
 def _certify_run(directory: Path, problems_dir: Path | None, as_json: bool) -> int:

@@ -55,8 +55,9 @@ def run(args: argparse.Namespace) -> int:
     if not 1e-4 <= min(times) <= max(times) <= 0.1:
         raise InvalidInputError(f"--contact-time {args.contact_time:g} s: give 0.0001 to 0.1 s")
     item = chosen_problem(args)
-    executed = _task if isinstance(item, Task) else _motion
-    executions, share = executed(args, item, times)
+    executions, share = (
+        _task(args, item, times) if isinstance(item, Task) else _motion(args, item, times)
+    )
     outcome, why = agreed(executions)
     if args.json:
         runs = [execution.data for execution in executions]
