@@ -18,6 +18,7 @@ from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.frame_speeds import with_frame_limits
 from cvqmpt_lab.robot.load import group_states, numbers_of, robot_from_source
 from cvqmpt_lab.robot.robot import FrameLimit, Robot
+from cvqmpt_lab.robot.source import with_absolute_paths
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.work import PRICES
 from cvqmpt_lab.tasks.task import Task
@@ -56,9 +57,14 @@ def robot_source(
     return {**own, **options, "locked": {**locked, **options.get("locked", {})}}
 
 
-def chosen_robot(args: argparse.Namespace) -> Robot:
-    """Return the robot of the command line, by default the Panda."""
-    return robot_from_source(robot_source(args) or {"name": "panda"})
+def chosen_robot(args: argparse.Namespace, problem_file: Path | None = None) -> Robot:
+    """Return the robot of the command line or of a problem file, by default the Panda."""
+    source = robot_source(args, problem_file)
+    if source is None and problem_file is not None:
+        source = read_json_object(problem_file, "problem file").get("robot")
+    if problem_file is not None:
+        source = with_absolute_paths(problem_file.parent, source)
+    return robot_from_source({"name": "panda"} if source is None else source)
 
 
 def robot_options(args: argparse.Namespace) -> dict[str, Any]:

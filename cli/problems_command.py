@@ -212,7 +212,7 @@ OPTIONS: Options = {
 
 def fk(args: argparse.Namespace) -> None:
     """Print the pose of each hand at a configuration."""
-    robot = chosen_robot(args)
+    robot = chosen_robot(args, args.problem_file)
     q = configuration(robot, "Q", args.q)
     if args.json:
         poses = {hand: robot.pose(q, hand).tolist() for hand in robot.end_effectors}
@@ -323,6 +323,7 @@ IK: Options = {
 }
 FK: Options = {
     "q": option("configuration, or a group_state of the SRDF [rad or m]", metavar="Q"),
+    "problem_file": option("problem file with the robot", nargs="?", type=Path, metavar="P.json"),
     "--json": option("print one json object, with matrices", **FLAG),
     "the robot (the panda)": ROBOT,
 }

@@ -73,6 +73,11 @@ def run(args: argparse.Namespace) -> None:
         raise InvalidInputError(
             f"name a suite ({', '.join(SUITES)}) or give --problems-dir, one of the two"
         )
+    if args.suite is not None and args.suite.endswith(".json"):
+        raise InvalidInputError(
+            f"{args.suite} is one problem; give the folder of problem files: --problems-dir "
+            f"{Path(args.suite).parent}"
+        )
     suite = suite_named(args.suite) if args.suite else folder_suite(args.problems_dir)
     experiment = Experiment(
         suite=suite.name if args.problems_dir is None else str(args.problems_dir.resolve()),

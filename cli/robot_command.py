@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from cvqmpt_lab.base.errors import few
+from cvqmpt_lab.base.errors import few, mapping
+from cvqmpt_lab.base.files import read_json_object
 from cvqmpt_lab.cli.options import FLAG, Options, option, picture_file
 from cvqmpt_lab.cli.problem_arguments import robot_options
 from cvqmpt_lab.cli.problem_options import ROBOT_DETAILS
@@ -18,7 +19,7 @@ from cvqmpt_lab.robot.dynamics import without_effort_limit
 from cvqmpt_lab.robot.hulls import OVERLAP
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.robot.source import ARMS
+from cvqmpt_lab.robot.source import ARMS, with_absolute_paths
 from cvqmpt_lab.robot.urdf import read_urdf
 from cvqmpt_lab.scene.scene import Scene
 
@@ -33,6 +34,10 @@ def run(args: argparse.Namespace) -> None:
     options, guesses = robot_options(args), list[str]()
     if args.robot in ARMS or not (Path(args.robot).suffix or Path(args.robot).exists()):
         source = {"name": args.robot, **options}
+    elif Path(args.robot).suffix == ".json":
+        path = Path(args.robot)
+        own = mapping(read_json_object(path, "problem file").get("robot"), f"{path}: robot")
+        source = {**with_absolute_paths(path.parent, own), **options}
     else:
         source = {"urdf": args.robot, **options}
         if not {"end_effector", "end_effectors"} & options.keys():
@@ -154,7 +159,7 @@ def _listed(names: Iterable[str]) -> str:
 
 OPTIONS: Options = {
     "robot": option(
-        "URDF file or name of a robot (default: list the known names)",
+        "URDF file, problem file or name of a robot (default: list the known names)",
         nargs="?",
         metavar="URDF_OR_NAME",
     ),

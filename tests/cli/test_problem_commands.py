@@ -96,6 +96,8 @@ def test_a_file_with_comments_is_read_and_the_command_line_says_where_the_hand_i
     at = " ".join(f"{x:.4f}" for x in problem.robot.pose(problem.start)[:3, 3].round(4) + 0.0)
     assert f"panda_hand: {at} m" in told and "points up most" in told
     assert told.strip() in cvqmpt("problems new", tmp_path / "other.json")
+    assert cvqmpt("fk", ",".join(map(str, problem.start)), mine) == told
+    assert "7 joints, reach" in cvqmpt("robot", mine)
     mine.write_text(text.replace('"name"', '"name",,', 1))
     refused("is not json", PlanningProblem.load, mine)
 
