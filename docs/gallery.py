@@ -48,7 +48,9 @@ def main() -> None:
             for k, each in enumerate(several):
                 at = (k % columns * across, k // columns * high)
                 image.paste(draw(each, size=(across, high)).convert("RGB"), at)
-            image.quantize(96).save(picture, optimize=True)
+            # kmeans keeps the colours of the legend, which are few pixels
+            best = Image.Quantize.MAXCOVERAGE
+            image.quantize(128, best, kmeans=3).save(picture, optimize=True)
             parts.append(f"![{title}](gallery/{picture.name})\n")
         print(f"{program.stem}: {'picture' if shown is not None else 'text'}")
     (DOCS / "gallery.md").write_text("\n".join(parts), encoding="utf-8")
