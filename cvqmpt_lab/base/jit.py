@@ -49,7 +49,7 @@ INLINE_OPTIONS: dict[str | None, dict] = {
     "source": {"inline": "always"},
     "never": {"no_cfunc_wrapper": False},
 }
-Pointer = NewType("Pointer", int)  # to numbers, of an entry that is called by its `address`
+Pointer = NewType("Pointer", np.ndarray)  # to numbers, of an entry that is called by its `address`
 SCALAR_TYPES: dict[Any, types.Type] = {
     float: types.float64,
     int: types.int64,
@@ -197,8 +197,9 @@ class _Cache(FunctionCache):
         if kept is None:
             return None
         (name, form, (machine_code, _)), description, environment, *_ = kept
-        # numba reads the names that are defined from intermediate code: here an empty function
-        named = f'define void @"{description.llvm_cpython_wrapper_name}"() {{ ret void }}'
+        # numba reads the names that are defined from intermediate code: here empty functions
+        names = description.llvm_cpython_wrapper_name, description.llvm_cfunc_wrapper_name
+        named = "\n".join(f'define void @"{name}"() {{ ret void }}' for name in names)
         code = (machine_code, llvm.parse_assembly(named).as_bitcode())
         library = context.codegen().unserialize_library((name, form, code))
         return library, description, environment
