@@ -196,6 +196,10 @@ def main(argv: list[str] | None = None) -> int:
         if not gc.isenabled():  # see entry_point
             gc.freeze()
             gc.enable()
+        if getattr(args, "allow_code", False):
+            from cvqmpt_lab.constraints.function_files import allow_code  # few commands do
+
+            allow_code()
         code = command_named(args.command)[0](args)
         sys.stdout.flush()
         return code or 0  # most commands return None

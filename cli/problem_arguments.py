@@ -123,9 +123,32 @@ def name_file(args: argparse.Namespace) -> None:
     args.suite = None
 
 
+def is_function(text: str) -> bool:
+    """Return whether a --constraint is the address of a function, module:F."""
+    return ":" in text and not text.lstrip().startswith("{")
+
+
 def motion_given(args: argparse.Namespace) -> bool:
-    """Return whether start, goal or constraint are given."""
-    return any((args.start, args.start_pose, args.goal, args.goal_pose, args.constraint))
+    """Return whether start, goal or a region as constraint are given."""
+    regions = [text for text in args.constraint if not is_function(text)]
+    return any((args.start, args.start_pose, args.goal, args.goal_pose, regions))
+
+
+def with_functions(
+    args: argparse.Namespace, problem: PlanningProblem | Task
+) -> PlanningProblem | Task:
+    """Return the problem with the functions of --constraint added to its constraint."""
+    if not args.constraint:
+        return problem
+    if not isinstance(problem, PlanningProblem) or not all(map(is_function, args.constraint)):
+        raise InvalidInputError(
+            f"--constraint {args.constraint[0]}: regions go with --start and --goal, functions "
+            "(module:F) with any problem; a task states its own constraints"
+        )
+    from cvqmpt_lab.constraints.function_files import load_function  # few commands have one
+
+    added = (load_function(address) for address in args.constraint)
+    return replace(problem, constraint=(*problem.constraint, *added))
 
 
 def chosen_problem(args: argparse.Namespace) -> PlanningProblem | Task:
@@ -139,33 +162,27 @@ def chosen_problem(args: argparse.Namespace) -> PlanningProblem | Task:
     if args.problem_file is not None:
         robot = robot_source(args, args.problem_file)
         problem = PlanningProblem.load(args.problem_file, robot=robot, clearance=args.clearance)
-        return with_limits(args, problem)
+        return with_limits(args, with_functions(args, problem))
     if robot_source(args):
         raise InvalidInputError(
             "--robot and --urdf go with --problem-file or --start; problems of suites and tasks "
             "have their own robot"
         )
     if args.suite is None:
-        return with_limits(args, Task.load(args.task_file))
-    return with_limits(args, suite_named(args.suite).solvable(args.problem))
+        return with_limits(args, with_functions(args, Task.load(args.task_file)))
+    of_suite = suite_named(args.suite).solvable(args.problem)
+    return with_limits(args, with_functions(args, of_suite))
 
 
 def with_limits(
     args: argparse.Namespace, problem: PlanningProblem | Task
 ) -> PlanningProblem | Task:
-    """Return the problem with --clearance, --tool-speed and --bodies.
+    """Return the problem with --clearance and --tool-speed.
 
     A task keeps its clearance: its hand must touch objects.
     """
     if args.clearance and isinstance(problem, PlanningProblem):
         problem = replace(problem, clearance=args.clearance)
-    if getattr(args, "bodies", None):
-        given = {"bodies": args.bodies}
-        if isinstance(problem, Task):
-            problem = replace(problem, robot={**problem.robot, **given})
-        else:
-            robot = robot_from_source({**problem.robot.source, **given})
-            problem = replace(problem, robot=robot)
     if args.tool_speed is None:
         return problem
     robot = robot_from_source(problem.robot) if isinstance(problem, Task) else problem.robot

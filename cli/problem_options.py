@@ -138,6 +138,11 @@ ROBOT: Options = {
     "--urdf": option("an arm with revolute and prismatic joints", type=Path, metavar="ARM.urdf"),
     **ROBOT_DETAILS,
 }
+CODE: Options = {
+    "--allow-code": option(
+        "import the modules of constraint functions that the problem file names", **FLAG
+    )
+}
 PROBLEM: Options = {
     "suite": option(
         "a suite (cvqmpt problems list), or a problem or task file", nargs="?", metavar="SUITE|FILE"
@@ -151,6 +156,16 @@ PROBLEM: Options = {
         type=_tool_speed,
         metavar="V[,W]",
     ),
+    "--constraint": option(
+        "for --start and --goal: upright, upright-box, fixed-orientation, plane, line, pose, "
+        "relative-pose, look-at, distance, on-sphere, on-cylinder (the first three keep the end "
+        "effector's orientation at the start, relative-pose=HAND keeps the other hand's pose "
+        "relative to HAND, look-at=X,Y,Z keeps a point ahead of it), or a region as json; for any "
+        "problem: module:F, a constraint function of your own; repeatable",
+        metavar="NAME[=VALUE]|JSON|MODULE:F",
+        **REPEATED,
+    ),
+    **CODE,
     "--clearance": option(
         "least distance of the robot and its load to obstacles, for planning and certificate (0, "
         "or that of the file)",
@@ -183,12 +198,6 @@ def optimize_option(default: str = "") -> Options:
         "the paper's seconds if --cost does)"
     )
     return {"--optimize": option(text + default, type=not_negative, metavar="S")}
-
-
-def bodies_option() -> Options:
-    """Return the option --bodies of commands that show a robot."""
-    text = "what is drawn of the robot: its visual meshes, or the convex hulls that can collide"
-    return {"--bodies": option(f"{text} (visual)", choices=("visual", "hulls"))}
 
 
 def pose_region(option: str, text: str) -> "TaskSpaceRegion":
@@ -307,14 +316,6 @@ MOTION: Options = {
             "end-effector pose to reach instead: x, y, z [m], roll, pitch, yaw [rad]",
             type=partial(pose_region, "--goal-pose"),
             metavar="X,Y,Z,R,P,Y",
-        ),
-        "--constraint": option(
-            "upright, upright-box, fixed-orientation, plane, line, pose, relative-pose, look-at, "
-            "distance, on-sphere, on-cylinder (the first three keep the end effector's orientation "
-            "at the start, relative-pose=HAND keeps the other hand's pose relative to HAND, "
-            "look-at=X,Y,Z keeps a point ahead of it), or a region as json; repeatable",
-            metavar="NAME[=VALUE]|JSON",
-            **REPEATED,
         ),
     }
 }

@@ -52,7 +52,7 @@ from cvqmpt_lab.cli.problem_arguments import (
     name_file,
     robot_source,
 )
-from cvqmpt_lab.cli.problem_options import ROBOT, pose_region
+from cvqmpt_lab.cli.problem_options import CODE, ROBOT, pose_region
 from cvqmpt_lab.constraints.goals import SAMPLE_MARGIN_M, find_in_region
 from cvqmpt_lab.constraints.named import Region, rpy_of, upper_axis
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
@@ -319,6 +319,7 @@ IK: Options = {
     ),
     **SEED,
     "--json": option("print one json object", **FLAG),
+    **CODE,
     "another robot for --problem-file": ROBOT,
 }
 FK: Options = {

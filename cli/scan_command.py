@@ -26,12 +26,12 @@ from cvqmpt_lab.cli.options import (
     picture_file,
     refuse_given,
 )
-from cvqmpt_lab.cli.problem_arguments import chosen_robot, configuration
+from cvqmpt_lab.cli.problem_arguments import chosen_robot, configuration, is_function
 from cvqmpt_lab.cli.problem_options import ROBOT, SCAN
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.goals import SAMPLE_MARGIN_M, sample_region
 from cvqmpt_lab.constraints.named import NAMED_REGIONS, Region, rpy_of, upper_axis
-from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
+from cvqmpt_lab.constraints.region_constraint import Member
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.cloud_files import CLOUD_HEADERS, write_cloud
@@ -239,8 +239,12 @@ def arm_of(args: argparse.Namespace, robot: Robot, q: np.ndarray) -> Arm:
     return Arm(robot, q if args.arm_at is None else configuration(robot, "--arm-at", args.arm_at))
 
 
-def _constraint(text: str, robot: Robot, start: np.ndarray) -> TaskSpaceRegion:
-    """Return a region from NAME, NAME=VALUE (VALUE: the region's first field), or json."""
+def _constraint(text: str, robot: Robot, start: np.ndarray) -> Member:
+    """Return a region of NAME, NAME=VALUE (VALUE: its first field) or json, or a function."""
+    if is_function(text):
+        from cvqmpt_lab.constraints.function_files import load_function  # few commands have one
+
+        return load_function(text)
     if text.lstrip().startswith("{"):
         return from_plain(Region, json_object(text, "--constraint"), "--constraint")
     name, _, value = text.partition("=")

@@ -14,7 +14,8 @@ Problems are saved as json, schema ``cvqmpt-problem/1`` (for editors:
                    {"T0_w": pose, "Tw_e": pose, "Bw": 6 rows [lower, upper], null = free,
                     "tilt": 0.1 (not needed)},
                    with "base" a frame of the robot, T0_w is the pose of w in that frame; with
-                   "end_effector", the region is about that one,
+                   "end_effector", the region is about that one; {"function": "my_module:F",
+                   ...fields} is a function of the user's own, see `constraints.function_files`,
      "start": configuration  or  "start_region": region,
      "goals": [configuration, ...]  and / or  "goal_region": region,
      "clearance": 0.01}
@@ -34,18 +35,24 @@ from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
 
-from cvqmpt_lab.base.codec import Document, OneOrMore
+from cvqmpt_lab.base.codec import Document, OneOrMore, to_plain
 from cvqmpt_lab.base.errors import InvalidProblemError, mapping, unique
 from cvqmpt_lab.base.values import FULL_TURN_RAD, Array, Condition, FloatArray, Name, frozen
 from cvqmpt_lab.collision.carried import reach_with
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.goals import SAMPLE_MARGIN_M, find_in_region
 from cvqmpt_lab.constraints.holding import really_held
-from cvqmpt_lab.constraints.named import Region
+from cvqmpt_lab.constraints.named import Region, RegionForm
 from cvqmpt_lab.constraints.project import PROJECTION_TOLERANCE
-from cvqmpt_lab.constraints.region_constraint import RegionConstraint
-from cvqmpt_lab.constraints.report import bounds_text, broken_bound, displacements
-from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegionChain
+from cvqmpt_lab.constraints.region_constraint import (
+    Member,
+    RegionConstraint,
+    constraint_text,
+    functions_of,
+    regions_of,
+)
+from cvqmpt_lab.constraints.report import broken_bound, displacements
+from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, TaskSpaceRegionChain
 from cvqmpt_lab.robot.dynamics import Dynamics
 from cvqmpt_lab.robot.load import State, numbers_of, robot_from_source
 from cvqmpt_lab.robot.robot import Robot, nearest_turn
@@ -87,7 +94,32 @@ class GoalsForm(Array):
 
 RobotOfSource = Annotated[Robot, RobotForm()]
 States = Annotated[FloatArray, GoalsForm((None, None), "numbers [rad or m]")]
-Regions = Annotated[tuple[Region, ...], OneOrMore(Region)]
+
+
+class MemberForm:
+    """A region, or a function of the user's own: {"function": "my_module:F", ...fields}."""
+
+    def read(self, value: Any, where: str) -> Member:
+        """Return the region or function."""
+        if hasattr(value, "on"):
+            return value
+        if isinstance(value, Mapping) and "function" in value:
+            from cvqmpt_lab.constraints.function_files import function_of  # few problems have one
+
+            return function_of(value, where)
+        return RegionForm().read(value, where)
+
+    def write(self, value: Any) -> Any:
+        """Return the json of a region, or the address of a function."""
+        if isinstance(value, TaskSpaceRegion) or not hasattr(value, "source"):
+            return to_plain(value)
+        # without an address, it cannot be read again: the error says what to write
+        address, fields = value.source or (value.name, {})
+        return {"function": address, **fields}
+
+
+OneMember = Annotated[Member, MemberForm()]
+Members = Annotated[tuple[OneMember, ...], OneOrMore(OneMember)]
 Clearance = Annotated[
     float,
     Condition(float, lambda x: 0.0 <= x <= 0.2, "a distance from 0 to 0.2 [m]"),
@@ -108,8 +140,8 @@ class PlanningProblem(Document):
     start: State = field(default_factory=lambda: np.empty(0))
     # (k, n) [rad or m], drawn from `goal_region` if there are none
     goals: States = field(default_factory=lambda: np.empty((0, 0)))
-    # Regions that the end effector must stay in
-    constraint: Regions = ()
+    # Regions that the end effector must stay in, and functions of the user's own that stay 0
+    constraint: Members = ()
     attachments: tuple[Attachment, ...] = ()  # What the hand carries
     goal_region: Region | None = None  # End-effector poses that count as a goal
     # End-effector poses from which the start is drawn, within the constraint
@@ -138,7 +170,7 @@ class PlanningProblem(Document):
             f"robot       {self.robot.name}, {self.robot.dof} "
             f"joints{carried and ', carries ' + carried}\n"
             f"scene       {self.scene.name}, {len(self.scene.objects)} objects\n"
-            f"constraint  {bounds_text(self.constraint)}\n"
+            f"constraint  {constraint_text(self.robot, self.constraint)}\n"
             f"start       {' '.join(f'{x:.3f}' for x in self.start)}"
         )
 
@@ -150,7 +182,11 @@ class PlanningProblem(Document):
         """
         problem = super().from_dict(_with_numbers(data))
         check_extent(problem.scene, reach_with(problem.robot, problem.attachments))
-        regions = {f"constraint[{k}]": region for k, region in enumerate(problem.constraint)}
+        regions = {
+            f"constraint[{k}]": region
+            for k, region in enumerate(problem.constraint)
+            if isinstance(region, TaskSpaceRegion)
+        }
         if problem.goal_region is not None:
             regions["goal_region"] = problem.goal_region
         refuse_far_poses({f"{where}: its frame": region.T0_w for where, region in regions.items()})
@@ -176,7 +212,7 @@ class PlanningProblem(Document):
                 f"{self.name}: a constraint of {len(self.constraint)} regions; at most "
                 f"{most} can be kept at once: leave out those that others say already"
             )
-        for region in self.constraint:
+        for region in self.regions:
             # refuses frames that do not exist or do not move
             region.links(self.robot)
         ends = [region for region in (self.start_region, self.goal_region) if region is not None]
@@ -214,6 +250,11 @@ class PlanningProblem(Document):
                     f"{self.name}: {label} is outside the limits: {outside[0]} by "
                     f"{outside[1]:.4g}; {cure}"
                 )
+
+        for function in functions_of(self.constraint):
+            from cvqmpt_lab.constraints.function_checks import check_function  # few have one
+
+            check_function(function, self.robot, self.start)
 
     def _within_limits(
         self,
@@ -282,19 +323,24 @@ class PlanningProblem(Document):
         return RegionConstraint(self.robot, self.constraint)
 
     @property
-    def closed_chain(self) -> Regions:
+    def regions(self) -> tuple[TaskSpaceRegion, ...]:
+        """The regions of the constraint."""
+        return regions_of(self.constraint)
+
+    @property
+    def closed_chain(self) -> tuple[TaskSpaceRegion, ...]:
         """The regions that hold one end effector to another: the hands and the base form a ring."""
         hands = self.robot.end_effectors
         return tuple(
             part
-            for part in self.constraint
+            for part in self.regions
             if isinstance(part, TaskSpaceRegionChain) and part.base in hands
         )
 
     @cached_property
     def carried(self) -> tuple[Attachment, ...]:
         """The attachments, also held only by hands that the constraint keeps at them."""
-        return really_held(self.robot, self.attachments, self.constraint)
+        return really_held(self.robot, self.attachments, self.regions)
 
     @cached_property
     def dynamics(self) -> Dynamics | None:
@@ -448,6 +494,8 @@ def _off_manifold(
     if label == "start":
         cure += ", --project-start moves this one onto it"
         for k, region in enumerate(problem.constraint):
+            if not isinstance(region, TaskSpaceRegion):
+                continue
             if axis := other_axis(region, problem.robot.pose(q, region.end_effector)):
                 cure = f"{axis} in constraint[{k}], or choose another start"
     if label != "start" and problem.goal_region is not None:
@@ -460,7 +508,11 @@ def _off_manifold(
             cure = "move or turn the region, or widen the bound"
     bounds = [
         broken_bound(region, displacements(problem.robot, region, states))
-        for region in problem.constraint
+        for region in problem.regions
+    ] + [
+        function.describe()
+        for function in problem.manifold.functions
+        if np.linalg.norm(function.residual(states), axis=1).min() > PROJECTION_TOLERANCE
     ]
     if against := contradiction(problem.robot, problem.constraint):
         cure = f"{against}; move, widen or leave out a region"

@@ -7,6 +7,7 @@ import numpy as np
 
 from cvqmpt_lab.base.values import frozen
 from cvqmpt_lab.constraints.bounds_between import ROTATION_RATE, bound_between, longest_lever
+from cvqmpt_lab.constraints.constraint import Constraint
 from cvqmpt_lab.constraints.report import displaced, excess
 from cvqmpt_lab.constraints.task_space_region import UNITS, TaskSpaceRegion
 from cvqmpt_lab.geometry.polyline import numbered_parts, parts_within, states_between
@@ -76,6 +77,72 @@ def largest_violation(
         if outside.max() > most:
             most, at = outside.max(), q[outside.argmax()]
     return Violation(float(radians), float(metres), float(highest), at)
+
+
+@dataclass(frozen=True)
+class FunctionViolation:
+    """Largest |F_i| of a function of the user's own, at the states checked."""
+
+    largest: float  # in units of F
+    at: np.ndarray  # (n,), that state
+    unproven_states: int  # number of states, where no bound proves the motion between them; else 0
+    text: str  # why it is refused; "" if it is not
+
+
+def function_violation(
+    function: Constraint,
+    states: np.ndarray,
+    spacing: float,
+    tolerance: float,
+    fine: float = 1e-3,
+    most_states: int = 1_000_000,
+) -> FunctionViolation:
+    """Compute how far straight joint motions leave F = 0, by the user's own function.
+
+    With a bound it is proven between states, too: stretches are cut until the bound allows it.
+    Without, states every `fine` are checked.
+
+    Args:
+        function: the constraint.
+        states: (m, n), m >= 1 [rad or m].
+        spacing: largest distance between the states checked at first [rad].
+        tolerance: of |F_i|.
+        fine: largest distance between states where there is no bound [rad].
+        most_states: with more, it is not proven.
+    """
+    q = evenly_spaced(states, spacing)
+    between = function.bound_between(q)
+    if between is None:
+        q = evenly_spaced(states, fine)
+    while True:
+        largest = np.abs(function.own_residual(q)).max(axis=1, initial=0.0)
+        largest[~np.isfinite(largest)] = np.inf
+        worst = int(largest.argmax())
+        if between is None or largest[worst] > tolerance:
+            break
+        at_ends = np.maximum(largest[:-1], largest[1:])
+        doubtful = at_ends + between > tolerance
+        if not doubtful.any():
+            break
+        # a Lipschitz bound falls with the length, another one perhaps with its square
+        parts = np.ceil(between / np.maximum(tolerance - at_ends, 1e-3 * between)).clip(2, 16)
+        counts = np.where(doubtful, parts, 1).astype(int)
+        if counts.sum() > most_states:
+            break
+        q = _cut(q, counts)
+        between = function.bound_between(q)
+    text = ""
+    if largest[worst] > tolerance:
+        text = f"off the constraint {function.describe()} by {largest[worst]:.3g}"
+    elif between is not None:
+        proven = (np.maximum(largest[:-1], largest[1:]) + between).max(initial=largest[worst])
+        if proven > tolerance:
+            text = (
+                f"{function.describe()} is at most {largest[worst]:.2g} at the checked states, not "
+                f"proven to be less than {proven:.2g} between them"
+            )
+    unproven = len(q) if between is None else 0
+    return FunctionViolation(float(largest[worst]), q[worst], unproven, text)
 
 
 def least_slack(

@@ -10,7 +10,11 @@ from typing import NamedTuple
 import numpy as np
 
 from cvqmpt_lab.base.values import bound_text
-from cvqmpt_lab.certificate.between_states import largest_violation, least_slack
+from cvqmpt_lab.certificate.between_states import (
+    function_violation,
+    largest_violation,
+    least_slack,
+)
 from cvqmpt_lab.certificate.motion_proof import LeastDistance, prove_free
 from cvqmpt_lab.collision.carried import reach_with
 from cvqmpt_lab.collision.exact import CollisionChecker
@@ -113,7 +117,11 @@ class Certificate:
     # from obstacles, and of the robot's own pieces; None without pairs
     obstacle_clearance: Clearance | None = None
     self_clearance: Clearance | None = None
-    tolerated: Deviation | None = None  # None without exact clearances
+    # None without exact clearances, and where the constraint has functions
+    tolerated: Deviation | None = None
+    max_violation_function: float = 0.0  # largest |F_i| of functions of the user's own
+    # states at which functions without a bound were checked; 0: the constraint is proven everywhere
+    constraint_states: int = 0
 
     @property
     def verdict(self) -> Verdict:
@@ -127,6 +135,13 @@ class Certificate:
     def valid(self) -> bool:
         """Whether there is no fault and every state is proven."""
         return self.verdict is Verdict.VALID
+
+    @property
+    def constraint_gap(self) -> str:
+        """What is not proven of a constraint without a bound, in words; "" if all is proven."""
+        if not self.constraint_states:
+            return ""
+        return f"constraint checked at {self.constraint_states} states, not proven between"
 
     @property
     def reasons(self) -> tuple[str, ...]:
@@ -164,8 +179,12 @@ def certify(
     if unusable:
         return Certificate(unusable, np.nan, np.nan, np.nan, 0)
     violation = largest_violation(
-        problem.robot, problem.constraint, path.states, CHECK_SPACING_RAD, CERTIFICATE_TOLERANCE
+        problem.robot, problem.regions, path.states, CHECK_SPACING_RAD, CERTIFICATE_TOLERANCE
     )
+    functions = [
+        function_violation(function, path.states, CHECK_SPACING_RAD, CERTIFICATE_TOLERANCE)
+        for function in problem.manifold.functions
+    ]
     proof = prove_free(checker, path.states, exact_clearance)
     faults = [*_end_faults(problem, path), *_motion_faults(problem, path)]
     if violation.at is not None and violation.largest > CERTIFICATE_TOLERANCE:
@@ -178,6 +197,15 @@ def certify(
                 "between them"
             )
         faults.append(Fault(kind, text, _place(path.states, violation.at)))
+    faults += [
+        Fault(
+            FaultKind.NOT_PROVEN if found.largest <= CERTIFICATE_TOLERANCE else FaultKind.MANIFOLD,
+            found.text,
+            _place(path.states, found.at),
+        )
+        for found in functions
+        if found.text
+    ]
     if proof.colliding is not None:
         text = f"in collision: {checker.contact(proof.colliding)}"
         faults.append(Fault(FaultKind.COLLISION, text, _place(path.states, proof.colliding)))
@@ -205,7 +233,7 @@ def certify(
     )
     found = [item for item in (to_obstacles, to_itself) if item]
     tolerated = None
-    if exact_clearance:
+    if exact_clearance and not functions:
         clearances = (to_obstacles, to_itself)
         tolerated = deviation_tolerated(problem, path.states, clearances, checker.margin)
     return Certificate(
@@ -219,6 +247,8 @@ def certify(
         obstacle_clearance=to_obstacles,
         self_clearance=to_itself,
         tolerated=tolerated,
+        max_violation_function=max((found.largest for found in functions), default=0.0),
+        constraint_states=sum(found.unproven_states for found in functions),
     )
 
 
@@ -236,7 +266,7 @@ def deviation_tolerated(
         clearances: from obstacles, and of the robot's own pieces.
         deviation: deviation of the motion from straight lines between states [m].
     """
-    robot, regions = problem.robot, problem.constraint
+    robot, regions = problem.robot, problem.regions
     to_obstacles, to_itself = clearances
     free = [np.inf]
     if to_obstacles:

@@ -74,6 +74,9 @@ def record(
         "states_checked": certificate.states_checked,
         "min_clearance_pair": closest.pair if closest else "",
         "min_clearance_at": closest.at if closest else None,
+        "max_violation_function": certificate.max_violation_function,
+        "constraint_states": certificate.constraint_states,
+        "constraint_gap": certificate.constraint_gap,
         "unproven_rad": certificate.unproven_rad,
         "unproven_m": certificate.unproven_m,
         "obstacle_clearance": _fields(certificate.obstacle_clearance),
@@ -171,8 +174,14 @@ def report_lines(found: DryRun, contents: dict[str, Any]) -> list[str]:
     distances = distances or ["there is no obstacle and no other piece to keep a distance from"]
     collides = any(fault.kind == FaultKind.COLLISION for fault in certificate.faults)
     proven = f"every state{' before the collision' if collides else ''} is proven"
+    if certificate.constraint_gap:
+        proven += " free"
     if certificate.unproven_rad > 0.0:
         proven = "not every state is proven"
+    outside = ""
+    if functions := contents["compared"]["functions"]:
+        most = bound_text(certificate.max_violation_function, up=True)
+        outside = f", {most} of {'; '.join(functions)}"
     curve = ""
     if found.deviation_m:
         apart = bound_text(1e3 * found.deviation_m, up=True)
@@ -185,8 +194,9 @@ def report_lines(found: DryRun, contents: dict[str, Any]) -> list[str]:
     return [
         *lines,
         f"constraint  at most {bound_text(certificate.max_violation_rad, up=True)} rad, "
-        f"{bound_text(certificate.max_violation_m, up=True)} m outside; "
+        f"{bound_text(certificate.max_violation_m, up=True)} m outside{outside}; "
         f"{CERTIFICATE_TOLERANCE:g} is allowed",
+        *([f"unproven    {certificate.constraint_gap}"] if certificate.constraint_gap else []),
         *(f"clearance   {distance}" for distance in distances),
         *([f"tolerates   {certificate.tolerated}"] if certificate.tolerated else []),
         *([f"jerk        {jerk}"] if "accelerations" in jerk else []),
@@ -285,6 +295,7 @@ def _compared(problem: PlanningProblem) -> dict[str, Any]:
         "left_out": left_out,
         "links_without_body": list(robot.bodiless),
         "unseen": problem.scene.unseen,
+        "functions": [function.describe() for function in problem.manifold.functions],
         "notes": problem.notes,
     }
 

@@ -39,6 +39,14 @@ class Constraint(ABC):
     def describe(self) -> str:
         """Return the constraint in words, such as "rotation about y -0.1 to 0.1 rad"."""
 
+    def own_residual(self, q: np.ndarray) -> np.ndarray:
+        """Return F(q) for the certificate: not by code that planners run, where there is both."""
+        return self.residual(q)
+
+    def price(self, q: np.ndarray) -> str:
+        """Return how the user's code is called, in words, timed at q (n,); "" without such code."""
+        return ""
+
     def bound_between(self, states: np.ndarray) -> np.ndarray | None:
         """Return how far F can stray on straight motions between neighbours of states (k, n).
 

@@ -39,7 +39,12 @@ from cvqmpt_lab.constraints.reach_free import (
     Seeds,
     reach_free,
 )
-from cvqmpt_lab.constraints.region_constraint import RegionConstraint, stack_regions
+from cvqmpt_lab.constraints.region_constraint import (
+    Member,
+    RegionConstraint,
+    reraise,
+    stack_regions,
+)
 from cvqmpt_lab.constraints.regions import Regions
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, TaskSpaceRegionChain
 from cvqmpt_lab.robot.kinematics import link_poses
@@ -75,7 +80,7 @@ def solve_poses(
     region: TaskSpaceRegion,
     poses: np.ndarray,
     guesses: np.ndarray,
-    within: Sequence[TaskSpaceRegion] = (),
+    within: Sequence[Member] = (),
     anywhere: bool = False,
     tolerance: float = POSE_TOLERANCE,
 ) -> list[np.ndarray]:
@@ -86,7 +91,7 @@ def solve_poses(
         region: region of the poses.
         poses: (k, 4, 4) of the end effector in the base frame [m].
         guesses: (k, a, n) seeds of Newton's method [rad or m]; overwritten.
-        within: regions that hold at the same time.
+        within: regions and functions that hold at the same time.
         anywhere: whether to project onto the region instead of reaching the poses.
         tolerance: largest norm of F [m, rad].
 
@@ -110,6 +115,7 @@ def solve_poses(
         projection_scratch(robot.kinematics, regions),
         reached,
     )
+    reraise(within)
     return [rows[iterations >= 0] for rows, iterations in zip(guesses, reached, strict=True)]
 
 
@@ -141,8 +147,8 @@ class GoalProblem(ProblemParts, Protocol):
         """Poses of the end effector that count as a goal."""
 
     @property
-    def constraint(self) -> tuple[TaskSpaceRegion, ...]:
-        """Regions that hold on the whole path."""
+    def constraint(self) -> tuple[Member, ...]:
+        """Regions and functions that hold on the whole path."""
 
     @property
     def closed_chain(self) -> tuple[TaskSpaceRegion, ...]:
@@ -188,7 +194,7 @@ def sample_region(
     rng: np.random.Generator,
     count: int,
     max_poses: int = 100,
-    within: Sequence[TaskSpaceRegion] = (),
+    within: Sequence[Member] = (),
     near: np.ndarray | None = None,
     project: bool = False,
     tolerance: float = POSE_TOLERANCE,
@@ -203,8 +209,8 @@ def sample_region(
         rng: random numbers.
         count: of configurations wanted.
         max_poses: poses drawn at most.
-        within: regions that hold at the same time; that of a held handle moves its door to the
-            hand.
+        within: regions and functions that hold at the same time; the region of a held handle
+            moves its door to the hand.
         near: configuration (n,) around which seeds are drawn [rad or m]; None: uniform seeds.
         project: whether to project onto the region instead of reaching poses drawn in it; always
             done if the hand `has_fewer_than_6_dof`.
@@ -271,7 +277,7 @@ def sample_goals(
     rng: np.random.Generator,
     count: int,
     max_poses: int = 100,
-    within: Sequence[TaskSpaceRegion] = (),
+    within: Sequence[Member] = (),
     near: np.ndarray | None = None,
     project: bool = False,
     look: int = 16,
@@ -286,8 +292,8 @@ def sample_goals(
         rng: random numbers.
         count: of configurations wanted.
         max_poses: poses drawn at most.
-        within: regions that hold at the same time; that of a held handle moves its door to the
-            hand.
+        within: regions and functions that hold at the same time; the region of a held handle
+            moves its door to the hand.
         near: configuration (n,) around which seeds are drawn [rad or m]; None: uniform seeds.
         project: whether to project onto the region instead of reaching poses drawn in it.
         look: seeds of Newton's method compared for an attempt.
@@ -323,6 +329,7 @@ def sample_goals(
         count,
         poses,
     )
+    reraise(within)
     configurations = poses.configurations[poses.reached[:found]]
     configurations[::2] = _turned_near(configurations[::2], problem.start, robot)
     return GoalSample(
@@ -506,6 +513,7 @@ def _reached(
         len(T),
         poses,
     )
+    reraise(problem.constraint)
     return poses.configurations[poses.reached[:found]]
 
 

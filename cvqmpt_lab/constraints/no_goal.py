@@ -23,7 +23,7 @@ from cvqmpt_lab.constraints.project import (
     project,
     projection_scratch,
 )
-from cvqmpt_lab.constraints.region_constraint import RegionConstraint
+from cvqmpt_lab.constraints.region_constraint import Member, RegionConstraint, regions_of
 from cvqmpt_lab.constraints.report import broken_bound, displaced, displacements
 from cvqmpt_lab.constraints.task_space_region import FREE, TaskSpaceRegion, TaskSpaceRegionChain
 from cvqmpt_lab.robot.robot import Robot
@@ -33,7 +33,7 @@ def why_none(
     robot: Robot,
     region: TaskSpaceRegion,
     checker: CollisionChecker,
-    constraint: Sequence[TaskSpaceRegion],
+    constraint: Sequence[Member],
 ) -> str:
     """Return why no configuration of a region was found, in words; "" if no reason is known.
 
@@ -41,7 +41,7 @@ def why_none(
         robot: the robot.
         region: poses of the end effector.
         checker: of collisions.
-        constraint: regions that hold at the same time.
+        constraint: regions and functions that hold at the same time.
     """
     rng = np.random.default_rng(0)
     T = region.sample_poses(rng, POSES_AT_ONCE)
@@ -55,7 +55,7 @@ def why_none(
         reasons += [_open_chain(robot, region, member, rng) for member in chains]
     if len(missed) and not any(reasons):
         reasons.append(_reach(robot, region, missed, rng, checker, constraint))
-    for member in constraint:
+    for member in regions_of(constraint):
         # few drawn poses say nothing of turns that are all free, nor of the other hand
         if (
             (region.bounded_rows > 2).any()
@@ -66,7 +66,7 @@ def why_none(
             reasons += [f"every pose breaks {broken}", other_axis(member, T[0])] if broken else []
     reasons.append(_collisions(checker, np.concatenate(found)))
     said = "; ".join(filter(None, reasons)) or contradiction(robot, constraint)
-    return said or _apart(robot, (region, *constraint), rng)
+    return said or _apart(robot, region, constraint, rng)
 
 
 def other_axis(member: TaskSpaceRegion, T: np.ndarray) -> str:
@@ -77,13 +77,15 @@ def other_axis(member: TaskSpaceRegion, T: np.ndarray) -> str:
     return f'axis {up} of the hand points up there, not {wanted}: write "axis": "{up}"'
 
 
-def _apart(robot: Robot, members: Sequence[TaskSpaceRegion], rng: np.random.Generator) -> str:
+def _apart(
+    robot: Robot, region: TaskSpaceRegion, others: Sequence[Member], rng: np.random.Generator
+) -> str:
     """Return the smallest residual of all members at once, as text."""
     ends = first_guesses(robot, rng, POSES_AT_ONCE)
-    T = np.broadcast_to(members[0].T0_w, (len(ends), 4, 4))
-    solve_poses(robot, members[0], T, ends, members[1:])
+    T = np.broadcast_to(region.T0_w, (len(ends), 4, 4))
+    solve_poses(robot, region, T, ends, others)
     states = ends.reshape(-1, robot.dof)
-    off = np.linalg.norm(RegionConstraint(robot, tuple(members)).residual(states), axis=1)
+    off = np.linalg.norm(RegionConstraint(robot, (region, *others)).residual(states), axis=1)
     return (
         f"pose and constraint are {off.min():.2g} rad or m apart at best, at most "
         f"{PROJECTION_TOLERANCE:g} is allowed"
@@ -105,12 +107,15 @@ def _open_chain(
 
 def _cannot_hold(
     robot: Robot,
-    member: TaskSpaceRegion,
-    members: Sequence[TaskSpaceRegion],
+    member: Member,
+    members: Sequence[Member],
     ends: np.ndarray,
 ) -> str:
     """Return the residual of `member` at the best of projected states `ends` (k, n), as text."""
     off = np.linalg.norm(RegionConstraint(robot, tuple(members)).residual(ends), axis=1)
+    if not isinstance(member, TaskSpaceRegion):
+        what = f"{member.on(robot).describe()} cannot be kept"
+        return f"{what}: the best of {len(ends)} tries has |F| = {off.min():.3g}"
     broken = broken_bound(member, displacements(robot, member, ends[None, off.argmin()]))
     what = "it cannot be kept"
     if isinstance(member, TaskSpaceRegionChain):
@@ -119,11 +124,11 @@ def _cannot_hold(
     return f"{what}: the best of {len(ends)} tries breaks {broken or 'other bounds'}"
 
 
-def contradiction(robot: Robot, constraint: Sequence[TaskSpaceRegion], tries: int = 100) -> str:
-    """Return which region, or pair of regions, no configuration was found for; "" if none."""
+def contradiction(robot: Robot, constraint: Sequence[Member], tries: int = 100) -> str:
+    """Return which member, or pair of members, no configuration was found for; "" if none."""
     draws = robot.random_configurations(np.random.default_rng(0), tries)
 
-    def ends(*members: TaskSpaceRegion) -> np.ndarray:
+    def ends(*members: Member) -> np.ndarray:
         """First configuration (1, n) that satisfies them, or all end points (tries, n)."""
         manifold, found = RegionConstraint(robot, members), draws.copy()
         scratch = projection_scratch(robot.kinematics, manifold.regions)
@@ -156,7 +161,7 @@ def _reach(
     T: np.ndarray,
     rng: np.random.Generator,
     checker: CollisionChecker,
-    constraint: Sequence[TaskSpaceRegion],
+    constraint: Sequence[Member],
 ) -> str:
     """Compare the distance of unreachable poses with the reach of the hand.
 
@@ -199,7 +204,7 @@ def _nearest_turned(
     region: TaskSpaceRegion,
     turned: Sequence[tuple[np.ndarray, np.ndarray]],
     checker: CollisionChecker,
-    constraint: Sequence[TaskSpaceRegion],
+    constraint: Sequence[Member],
     starts: int = 6,
     steps: int = 100,
 ) -> str:

@@ -379,7 +379,7 @@ def _judged(
             planned = np.column_stack([planned, np.zeros(len(planned))])
         hands, planned_hands = (problem.robot.poses(q)[:, :3, 3] for q in (executed, planned))
         off = max(off, float(nearest_places(planned_hands, hands)[1].max()))
-        for region in problem.constraint:
+        for region in problem.regions:
             x = displacements(problem.robot, region, executed)
             beyond = np.where(region.wide, excess(region, x), 0.0).max(axis=0)
             outside = np.maximum(outside, [beyond[unit == UNITS].max() for unit in ("rad", "m")])

@@ -6,7 +6,6 @@ Messages from the calling process are pickled: ("make", name, module, attribute)
 the array "words". Before each message and reply stand 8 bytes with its length.
 """
 
-import importlib
 import json
 import os
 import pickle
@@ -29,6 +28,7 @@ from cvqmpt_lab.base.errors import (
     shown,
 )
 from cvqmpt_lab.base.jit import compile_all
+from cvqmpt_lab.base.modules import described, imported
 from cvqmpt_lab.base.processes import end_with_parent, limit_memory, one_thread
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.search.planner_interface import GaussianMixture, Proposal, Uniform
@@ -80,7 +80,7 @@ class Worker:
 
     def make(self, name: str, module_name: str, attribute: str) -> Reply:
         """Import and make the planner; the reply has "made_by" and "origin"."""
-        module = imported(name, module_name)
+        module = imported(f"planner {name}", module_name)
         if not hasattr(module, attribute):
             public = {key: value for key, value in vars(module).items() if not key.startswith("_")}
             choices = [key for key, value in public.items() if callable(value)]
@@ -154,38 +154,6 @@ def reply_of(proposal: Proposal) -> Reply:
     if uniform is not None:
         arrays |= {"lower": uniform.lower, "upper": uniform.upper}
     return words, {name: np.array(array, dtype=float) for name, array in arrays.items()}
-
-
-def described(error: BaseException) -> str:
-    """Type and text of an error of a planner, whose text may itself raise an error."""
-    try:
-        return one_line(f"{type(error).__name__}: {error}")
-    except BaseException:
-        return type(error).__name__
-
-
-def imported(name: str, module: str) -> Any:
-    """Import a module, also one in the folder in which the command was started."""
-    here = str(Path.cwd())
-    if here not in sys.path and "" not in sys.path:
-        sys.path.append(here)
-    try:
-        return importlib.import_module(module)
-    except CvqmptError:
-        raise  # adapters say themselves what is not installed
-    except ModuleNotFoundError as error:
-        if error.name is not None and f"{module}.".startswith(f"{error.name}."):
-            raise InvalidInputError(
-                f"planner {name}: there is no module {error.name!r}; install it, or start in its "
-                "folder"
-            ) from error
-        raise InvalidInputError(
-            f"planner {name}: {module} needs {error.name!r}; install it"
-        ) from error
-    except BaseException as error:
-        raise InvalidInputError(
-            f"planner {name}: importing {module} raises {described(error)}"
-        ) from error
 
 
 def origin(module: str) -> str:

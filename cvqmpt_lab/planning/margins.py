@@ -10,7 +10,7 @@ from cvqmpt_lab.certificate.certificate import deviation_tolerated
 from cvqmpt_lab.constraints.goals import Goals, goals_of
 from cvqmpt_lab.constraints.project import PROJECTION_TOLERANCE
 from cvqmpt_lab.constraints.report import displacements, excess
-from cvqmpt_lab.constraints.task_space_region import UNITS
+from cvqmpt_lab.constraints.task_space_region import UNITS, TaskSpaceRegion
 from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.planning.solution import Solution
 from cvqmpt_lab.problem import PlanningProblem
@@ -69,7 +69,10 @@ def with_margin(
     clearance = min(margin.metres, *clearances)
     inner = problem.changed(
         clearance=max(problem.clearance, clearance),
-        constraint=tuple(region.inset(moved, radians) for region in problem.constraint),
+        constraint=tuple(
+            member.inset(moved, radians) if isinstance(member, TaskSpaceRegion) else member
+            for member in problem.constraint
+        ),
     )
     return inner, Margin(min(clearance, moved), radians), "; ".join(reasons)
 
@@ -77,7 +80,7 @@ def with_margin(
 def _slack(problem: PlanningProblem, states: np.ndarray) -> tuple[float, float]:
     """Return the largest slack [rad] and [m] of states (k, n) in bounds of positive width."""
     slack = np.full((len(states), len(UNITS)), np.inf)
-    for region in problem.constraint:
+    for region in problem.regions:
         inside = -excess(region, displacements(problem.robot, region, states))
         # projected states may be outside of bounds by the tolerance
         inside = (inside - PROJECTION_TOLERANCE).clip(min=0.0)

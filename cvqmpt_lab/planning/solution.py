@@ -63,7 +63,7 @@ class Solution:
     def bound_uses(self) -> tuple[BoundUse, ...]:
         """Used part of every bound of the constraint along the path, or at the start."""
         states = self.problem.start[None] if self.path is None else self.path.states
-        return bound_usage(self.problem.robot, self.problem.constraint, states)
+        return bound_usage(self.problem.robot, self.problem.regions, states)
 
     def report(self, planner: str = "", why: str = "") -> list[str]:
         """Return the lines of the report for people; each begins with a label of 12 characters.
@@ -84,6 +84,7 @@ class Solution:
             *(f"note        {note}" for note in self.problem.notes),
             *_left_out(self.left_out),
             f"constraint  {_bounds(self)}",
+            *_functions(self.problem),
             f"planner     {f'{chosen}, {samples}' if planner else samples}",
             f"status      {_status(self)}",
             f"time        {times}",
@@ -104,6 +105,12 @@ class Solution:
         return lines
 
 
+def _functions(problem: PlanningProblem) -> list[str]:
+    """Return a line for each function of the user's own: how it is called, and its price."""
+    prices = ((one, one.price(problem.start)) for one in problem.manifold.functions)
+    return [f"function    {one.describe()}: {price}" for one, price in prices if price]
+
+
 def _left_out(goals: Sequence[str], listed: int = 2) -> list[str]:
     """Return lines for the first goals that were left out; the last one counts the others."""
     lines = [f"left out    {text}" for text in goals[:listed]]
@@ -117,11 +124,12 @@ def _bounds(solution: Solution) -> str:
     """Return the used part of all bounds of the constraint in words."""
     if not solution.problem.constraint:
         return "none: the hand may tilt and move as it likes"
+    functions = [function.describe() for function in solution.problem.manifold.functions]
     uses = solution.bound_uses
     if not uses:
-        return "all entries free"
+        return "; ".join(functions) or "all entries free"
     where = " at the start" if solution.simplified is None else " at most"
-    return "; ".join(map(str, uses)) + where
+    return "; ".join([*functions, *map(str, uses)]) + where
 
 
 def _status(solution: Solution) -> str:
@@ -153,11 +161,13 @@ def _gain(made: Improvement) -> str:
 
 def _certificate(certificate: Certificate) -> list[str]:
     """Return the lines of a certificate: verdict, smallest distances, tolerated deviation."""
-    verdict, proven = "certified", ", motion between them proven"
+    verdict, proven = "certified", ", motion between them proven,"
+    if certificate.constraint_gap:
+        proven = f", motion between them proven free; {certificate.constraint_gap};"
     if not certificate.valid:
-        verdict, proven = f"not certified: {'; '.join(certificate.reasons)}", ""
+        verdict, proven = f"not certified: {'; '.join(certificate.reasons)}", ","
     lines = [
-        f"certificate {verdict} ({certificate.states_checked} states{proven}, clearance "
+        f"certificate {verdict} ({certificate.states_checked} states{proven} clearance "
         f"{_distances(certificate)})"
     ]
     if certificate.valid and certificate.tolerated:

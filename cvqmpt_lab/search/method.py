@@ -89,7 +89,7 @@ class Method:
 
     def incompatibility(self, problem: PlanningProblem) -> str:
         """Return the reason why the planner cannot solve problems of this kind, or ""."""
-        rows = sum(len(region.bounded_rows) for region in problem.constraint)
+        rows = problem.manifold.dim
         if self.needs_charts and rows >= problem.robot.dof:
             return (
                 f"it needs more joints than bounded rows of the constraint; there are "

@@ -48,10 +48,10 @@ def plots_along(problem: PlanningProblem, states: np.ndarray) -> list[Plot]:
     """
     robot = problem.robot
     tilts, found = [], []
-    for k, region in enumerate(problem.constraint):
+    for k, region in enumerate(problem.regions):
         x = displacements(robot, region, states)
         rows = set(region.bounded_rows.tolist())
-        number = f" of region {k}" if len(problem.constraint) > 1 else ""
+        number = f" of region {k}" if len(problem.regions) > 1 else ""
         free = {5} if 6 in rows else {3, 4, 5} - rows
         if len(free) == 1:
             axis = free.pop() - 3

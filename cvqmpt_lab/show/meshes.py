@@ -189,7 +189,7 @@ def constraint_marks(
         widest: half angle from which on a cone is not drawn [rad].
     """
     robot, reach = problem.robot, problem.robot.reach
-    for region in problem.constraint:
+    for region in problem.regions:
         yield from _surface_marks(problem.robot, region, states, length * reach, radius)
         if isinstance(region, TaskSpaceRegionChain):
             # one joint: that of a door; a region attached to the other hand is not drawn

@@ -47,7 +47,7 @@ def upright_region(problem: PlanningProblem) -> TaskSpaceRegion:
             adapters do not support.
     """
     require_no_followers(problem)
-    region = problem.constraint[0] if len(problem.constraint) == 1 else None
+    region = problem.regions[0] if len(problem.constraint) == len(problem.regions) == 1 else None
     if region is not None and region.bounded_rows.tolist() == [6]:
         turn = np.eye(4)[:, [2, 0, 1, 3]]
         upper = np.array([np.inf] * 4 + [region.tilt] * 2)

@@ -1,0 +1,35 @@
+"""Import of modules of the user, also from the folder in which the command was started."""
+
+import importlib
+import sys
+from pathlib import Path
+from typing import Any
+
+from cvqmpt_lab.base.errors import CvqmptError, InvalidInputError, one_line
+
+
+def described(error: BaseException) -> str:
+    """Type and text of an error of the user's code, whose text may itself raise an error."""
+    try:
+        return one_line(f"{type(error).__name__}: {error}")
+    except BaseException:
+        return type(error).__name__
+
+
+def imported(what: str, module: str) -> Any:
+    """Import a module of the user; what: the noun with which errors begin."""
+    here = str(Path.cwd())
+    if here not in sys.path and "" not in sys.path:
+        sys.path.append(here)
+    try:
+        return importlib.import_module(module)
+    except CvqmptError:
+        raise  # adapters say themselves what is not installed
+    except ModuleNotFoundError as error:
+        if error.name is not None and f"{module}.".startswith(f"{error.name}."):
+            raise InvalidInputError(
+                f"{what}: there is no module {error.name!r}; install it, or start in its folder"
+            ) from error
+        raise InvalidInputError(f"{what}: {module} needs {error.name!r}; install it") from error
+    except BaseException as error:
+        raise InvalidInputError(f"{what}: importing {module} raises {described(error)}") from error

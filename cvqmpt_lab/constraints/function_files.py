@@ -1,0 +1,87 @@
+"""Constraints of the user's own by address, in problem files and on the command line.
+
+A file alone never runs code: it may name a function where `allow_code` was called before.
+"""
+
+import inspect
+from collections.abc import Mapping
+from importlib import metadata
+from typing import Any, ClassVar
+
+from cvqmpt_lab.base.errors import InvalidInputError, UnknownChoiceError, at, mapping, shown
+from cvqmpt_lab.base.modules import described, imported
+from cvqmpt_lab.constraints.function import FunctionConstraint
+
+
+class Code:
+    """Whether problem files may name code."""
+
+    allowed: ClassVar[bool] = False
+
+
+def allow_code() -> None:
+    """Let problem files name functions, whose modules are then imported."""
+    Code.allowed = True
+
+
+def function_of(value: Mapping[str, Any], where: str) -> FunctionConstraint:
+    """Return the constraint of json {"function": "module:name", ...fields}."""
+    fields = {name: part for name, part in mapping(value, where).items() if name != "_comment"}
+    address = fields.pop("function")
+    if not isinstance(address, str):
+        raise InvalidInputError(f"{at(where, 'function')} is {shown(address)}; write 'my_module:F'")
+    if not Code.allowed:
+        raise InvalidInputError(
+            f"{where} names code, {address!r}, which would run: add --allow-code if you trust the "
+            "file (in Python: call allow_code())"
+        )
+    return load_function(address, fields)
+
+
+def load_function(
+    address: str, fields: Mapping[str, Any] | None = None, group: str = "cvqmpt.constraints"
+) -> FunctionConstraint:
+    """Return a constraint by its address.
+
+    Args:
+        address: ``module:name`` of a FunctionConstraint, or of a function that returns one; or the
+            name of an entry point of an installed distribution.
+        fields: arguments of that function.
+        group: of the entry points.
+    """
+    fields, given, what = fields or {}, address, f"constraint {address}"
+    if ":" not in address:
+        entries = {entry.name: entry.value for entry in metadata.entry_points(group=group)}
+        if address not in entries:
+            names = ", ".join(sorted(entries)) or "none is installed"
+            raise InvalidInputError(
+                f"{what}: write module:name, or the name of an entry point {group!r} ({names})"
+            )
+        given = entries[address]
+    module_name, _, name = given.partition(":")
+    module = imported(what, module_name)
+    if not hasattr(module, name):
+        own = [key for key in vars(module) if not key.startswith("_")]
+        raise UnknownChoiceError(f"constraint of {module_name}", name, own)
+    found = getattr(module, name)
+    if callable(found) and not isinstance(found, FunctionConstraint):
+        try:
+            inspect.signature(found).bind(**fields)
+        except (TypeError, ValueError) as error:
+            raise InvalidInputError(
+                f"{what}: {error}; it is called with the fields of the problem file"
+            ) from error
+        try:
+            found = found(**fields)
+        except BaseException as error:
+            raise InvalidInputError(f"{what}: making it raises {described(error)}") from error
+    elif fields:
+        raise InvalidInputError(
+            f"{what} is no function, so it has no field {', '.join(fields)}: leave it out"
+        )
+    if not isinstance(found, FunctionConstraint):
+        raise InvalidInputError(
+            f"{what} is {shown(found)}: give a FunctionConstraint, or a function that returns one"
+        )
+    found.source = address, dict(fields)
+    return found
