@@ -10,6 +10,8 @@ if TYPE_CHECKING:
     from cvqmpt_lab.certificate.certificate import certify
     from cvqmpt_lab.certificate.judge import judge
     from cvqmpt_lab.certificate.motion_check import certified_motion
+    from cvqmpt_lab.constraints.function import FunctionConstraint, torch_constraint
+    from cvqmpt_lab.constraints.function_files import allow_code, load_function
     from cvqmpt_lab.constraints.named import region
     from cvqmpt_lab.constraints.task_space_region import (
         TaskSpaceRegion,
@@ -47,6 +49,7 @@ __all__ = [
     "Budget",
     "ConvexMesh",
     "Cylinder",
+    "FunctionConstraint",
     "GaussianMixture",
     "JointPath",
     "JointState",
@@ -65,6 +68,7 @@ __all__ = [
     "TaskSpaceRegion",
     "TaskSpaceRegionChain",
     "TimingSettings",
+    "allow_code",
     "certified_motion",
     "certify",
     "dictionary_gaussians",
@@ -72,6 +76,7 @@ __all__ = [
     "execute_motion",
     "film_solution",
     "judge",
+    "load_function",
     "load_robot",
     "load_vq_mpt",
     "planner_named",
@@ -89,6 +94,7 @@ __all__ = [
     "solve_with_margin",
     "suite_named",
     "time_path",
+    "torch_constraint",
     "upright",
     "upright_box",
 ]
@@ -99,6 +105,8 @@ _NAMES: dict[str, tuple[str, ...]] = {
     "certificate.certificate": ("certify",),
     "certificate.judge": ("judge",),
     "certificate.motion_check": ("certified_motion",),
+    "constraints.function": ("FunctionConstraint", "torch_constraint"),
+    "constraints.function_files": ("allow_code", "load_function"),
     "constraints.named": ("region",),
     "constraints.task_space_region": (
         "TaskSpaceRegion",

@@ -183,8 +183,9 @@ class FunctionConstraint(Constraint):
         return np.array([self._value(function, one, shape) for one in q])
 
     def _value(self, function: Any, q: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-        q = q.copy()
-        q.flags.writeable = False  # a function that changes its argument is told so
+        if q.flags.writeable:  # a function that changes its argument is told so
+            q = q.copy()
+            q.flags.writeable = False
         value = np.asarray(function(q), dtype=float)
         if value.shape != shape and value.size != int(np.prod(shape)):
             what = "F" if function is self._function else "its Jacobian"
