@@ -24,7 +24,7 @@ from cvqmpt_lab.cli.options import (
 )
 from cvqmpt_lab.cli.plan_command import FILM_SUFFIX
 from cvqmpt_lab.cli.problem_arguments import budget, chosen_problem
-from cvqmpt_lab.cli.problem_options import BUDGET, MARGIN, PROBLEM, ROBOT
+from cvqmpt_lab.cli.problem_options import BUDGET, MARGIN, PROBLEM, ROBOT, bodies_option
 from cvqmpt_lab.execution.execute import (
     CONTACT_TIMES_S,
     Execution,
@@ -223,6 +223,7 @@ OPTIONS: Options = {
         type=partial(file_of_kind, "--film", (FILM_SUFFIX,)),
         metavar="RUN.gif",
     ),
+    **bodies_option(),
     "--json": option("print one json object instead of the report", **FLAG),
 }
 COMMANDS = {"execute": (run, OPTIONS)}

@@ -25,6 +25,7 @@ from cvqmpt_lab.cli.problem_options import (
     PROBLEM,
     ROBOT,
     SCAN,
+    bodies_option,
     optimize_option,
 )
 
@@ -88,6 +89,7 @@ OPTIONS: Options = {
             type=_savable,
             metavar="RUN.html|rrd|gif",
         ),
+        **bodies_option(),
     },
     "--save-path": option("write the path's states as csv", type=writable_file, metavar="PATH.csv"),
     "--trajectory": option(
@@ -116,6 +118,7 @@ OPTIONS: Options = {
 
 STUDIO: Options = {
     **PROBLEM,
+    **bodies_option(),
     "--port": option("port of the page, 0: any (8090)", type=not_negative_int, default=8090),
     "robot of a problem file, or of a template problem": ROBOT,
 }

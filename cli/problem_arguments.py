@@ -177,12 +177,19 @@ def chosen_problem(args: argparse.Namespace) -> PlanningProblem | Task:
 def with_limits(
     args: argparse.Namespace, problem: PlanningProblem | Task
 ) -> PlanningProblem | Task:
-    """Return the problem with --clearance and --tool-speed.
+    """Return the problem with --clearance, --tool-speed and --bodies.
 
     A task keeps its clearance: its hand must touch objects.
     """
     if args.clearance and isinstance(problem, PlanningProblem):
         problem = replace(problem, clearance=args.clearance)
+    if getattr(args, "bodies", None):
+        given = {"bodies": args.bodies}
+        if isinstance(problem, Task):
+            problem = replace(problem, robot={**problem.robot, **given})
+        else:
+            robot = robot_from_source({**problem.robot.source, **given})
+            problem = replace(problem, robot=robot)
     if args.tool_speed is None:
         return problem
     robot = robot_from_source(problem.robot) if isinstance(problem, Task) else problem.robot

@@ -200,6 +200,12 @@ def optimize_option(default: str = "") -> Options:
     return {"--optimize": option(text + default, type=not_negative, metavar="S")}
 
 
+def bodies_option() -> Options:
+    """Return the option --bodies of commands that show a robot."""
+    text = "what is drawn of the robot: its visual meshes, or the convex hulls that can collide"
+    return {"--bodies": option(f"{text} (visual)", choices=("visual", "hulls"))}
+
+
 def pose_region(option: str, text: str) -> "TaskSpaceRegion":
     """Return the region of one end-effector pose."""
     from cvqmpt_lab.base.codec import from_plain

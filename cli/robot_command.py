@@ -13,7 +13,7 @@ from cvqmpt_lab.base.errors import few, mapping
 from cvqmpt_lab.base.files import read_json_object
 from cvqmpt_lab.cli.options import FLAG, Options, option, picture_file
 from cvqmpt_lab.cli.problem_arguments import robot_options
-from cvqmpt_lab.cli.problem_options import ROBOT_DETAILS
+from cvqmpt_lab.cli.problem_options import ROBOT_DETAILS, bodies_option
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.robot.dynamics import without_effort_limit
 from cvqmpt_lab.robot.hulls import OVERLAP
@@ -43,6 +43,8 @@ def run(args: argparse.Namespace) -> None:
         if not {"end_effector", "end_effectors"} & options.keys():
             guesses = read_urdf(Path(args.robot), args.package_dir).likely_end_effectors()
             source["end_effector"] = guesses[0]
+    if args.bodies:
+        source = {**source, "bodies": args.bodies}
     robot = robot_from_source(source)
     model = describe(robot)
     lines = report(robot, model, guesses)
@@ -166,7 +168,10 @@ OPTIONS: Options = {
     **ROBOT_DETAILS,
     "--json": option("print everything as one json object", **FLAG),
     "--picture": option(
-        "draw the collision pieces of the robot", type=picture_file, metavar="FILE.png|jpg|pdf"
+        "draw the robot; with --bodies hulls its collision pieces",
+        type=picture_file,
+        metavar="FILE.png|jpg|pdf",
     ),
+    **bodies_option(),
 }
 COMMANDS = {"robot": (run, OPTIONS)}

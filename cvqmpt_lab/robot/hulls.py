@@ -26,7 +26,7 @@ from cvqmpt_lab.geometry.convex import (
     require_volume,
 )
 from cvqmpt_lab.robot.kinematics import Kinematics, link_poses
-from cvqmpt_lab.robot.robot import LeftOut, LinkGeometry, in_link
+from cvqmpt_lab.robot.robot import LeftOut, LinkGeometry, Robot, axis_frames, in_link
 from cvqmpt_lab.robot.urdf import Urdf
 
 # In coal 3.0 the first distance of a box in a process decides on which side all later boxes are
@@ -113,6 +113,17 @@ def _hull_of(path: str, scale: Sequence[float]) -> tuple[np.ndarray, np.ndarray]
     return hull_vertices(hull), corners
 
 
+def triangles_of_file(path: str, scale: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the vertices (n, 3) [m] of a mesh file and the indices (f, 3) of its triangles.
+
+    ValueError or RuntimeError if the file cannot be read. scale: factors (3,) of x, y, z.
+    """
+    mesh = coal.MeshLoader().load(path, np.array(scale))
+    faces = [[face[0], face[1], face[2]] for face in map(mesh.tri_indices, range(mesh.num_tris))]
+    points = np.array(mesh.vertices(), dtype=float).reshape(-1, 3)
+    return points, np.array(faces, dtype=int).reshape(-1, 3)
+
+
 def _are_polytope(points: np.ndarray, corners: np.ndarray) -> bool:
     """Return whether arrays from the cache have the form that `_hull_of` returns."""
     return bool(
@@ -139,6 +150,26 @@ def link_geometry(item: pin.GeometryObject, frames: list[np.ndarray]) -> LinkGeo
     vertices = hull_vertices(item.geometry)
     require_near(vertices, f"collision shape {item.name}")
     return LinkGeometry(item.name, link, T_link_geometry, vertices)
+
+
+def placed_in_link(
+    robot: Robot, frame: str, T_frame_body: np.ndarray
+) -> tuple[int, np.ndarray] | None:
+    """Return the pose row and (4, 4) placement of a body that is fixed to a link of the URDF.
+
+    Args:
+        robot: the robot.
+        frame: name of the link.
+        T_frame_body: (4, 4) pose of the body in the link's frame [m].
+
+    Returns:
+        None if the robot has no such link.
+    """
+    if not robot.model.existFrame(frame, pin.FrameType.BODY):
+        return None
+    found = robot.model.frames[robot.model.getFrameId(frame, pin.FrameType.BODY)]
+    placement = found.placement * pin.SE3(T_frame_body)
+    return in_link(axis_frames(robot.model), found.parentJoint, placement)
 
 
 def hull_vertices(shape: coal.CollisionGeometry) -> np.ndarray:

@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
@@ -64,6 +64,8 @@ class RobotSource:
     visual_as_collision: bool = False
     # whether a collision mesh that is not found is no body, instead of an error
     skip_missing_meshes: bool = False
+    # "visual" meshes or "hulls": what pictures show of the links
+    bodies: Literal["visual", "hulls"] = "visual"
     # (4, 4) pose of the URDF's base link in the world; None: the identity
     base: Pose | None = None
     # (4, 4) pose of the tool in the frame `end_effector`, whose place it takes; None: the identity

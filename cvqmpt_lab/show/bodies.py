@@ -29,10 +29,10 @@ from cvqmpt_lab.show.meshes import (
     axes_marks,
     beads,
     constraint_marks,
-    hull_mesh,
     joined,
     shape_mesh,
 )
+from cvqmpt_lab.show.visuals import drawn_pieces
 from cvqmpt_lab.tasks.solve import TaskSolution
 from cvqmpt_lab.tasks.task import PlannedPhase
 from cvqmpt_lab.tasks.world import Load, World
@@ -165,7 +165,7 @@ def robot_bodies(
     layer: str = "robot",
     opacity: float = 1.0,
 ) -> list[Body]:
-    """Convex hulls of the robot's links, and attached objects, at states.
+    """Visual meshes or hulls of the robot's links, and attached objects, at states.
 
     Args:
         problem: the problem with robot and attachments.
@@ -181,11 +181,10 @@ def robot_bodies(
     T_world_link[..., :3, :3], T_world_link[..., :3, 3] = rotations, translations
     found = []
     two_arms = len(problem.robot.end_effectors) > 1
-    for part in problem.robot.links:
-        poses = T_world_link[:, part.link] @ part.T_link_geometry
+    for part in drawn_pieces(problem.robot):
+        poses = T_world_link[:, part.link] @ part.T_link_mesh
         torso = two_arms and part.link == 0
-        mesh = hull_mesh(part.vertices)
-        found.append(Body(group, layer, part.name, mesh, colour, poses, opacity, torso=torso))
+        found.append(Body(group, layer, part.name, part.mesh, colour, poses, opacity, torso=torso))
     for item in problem.attachments:
         poses = problem.robot.poses(states, item.end_effector) @ item.T_hand_object
         name = item.name.replace("_", " ") if group in ("robot", "start") else group

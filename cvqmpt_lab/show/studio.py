@@ -303,8 +303,8 @@ class StudioPage:
             ]
             first, last = problem.robot.poses(np.array([problem.start, states[-1]]))
             if "start" not in self._dragged:
-                by_hand = request.start is not None and request.posture is None
-                _place(self._gizmos["start"], request.start if by_hand else first)
+                asked = request.start if request.posture is None else None
+                _place(self._gizmos["start"], first if asked is None else asked)
             if request.posture is None:
                 for joint, value in zip(self._joints, problem.start.tolist(), strict=True):
                     joint.value = min(max(round(value, 3), joint.min), joint.max)

@@ -96,6 +96,7 @@ def _html(drawing: Drawing, size: tuple[int, int] = (1100, 600)) -> str:
     torso = mesh_of(body for body in robot if body.torso)
     viewpoint = clear_viewpoint(views, mesh_of(drawing.scene), size, inside, torso)
     bodies = drawing.bodies("goals", "path", "constraint", "hand")
+    meshes = list(dict.fromkeys(body.mesh for body in bodies))
     offset = np.subtract(viewpoint.eye, viewpoint.target)
     distance = float(np.linalg.norm(offset))
     labels = list(drawing.labels)
@@ -116,14 +117,20 @@ def _html(drawing: Drawing, size: tuple[int, int] = (1100, 600)) -> str:
             "elevation": math.asin(offset[2] / distance),
             "angle": viewpoint.height_angle,
         },
+        "meshes": [
+            {
+                "positions": _base64(mesh.corners.astype("<f4")),
+                # integers from -127 to 127
+                "normals": _base64(np.round(127 * mesh.normals).astype(np.int8)),
+            }
+            for mesh in meshes
+        ],
         "bodies": [
             {
                 "group": body.group,
                 "colour": list(map(float, body.colour)),
                 "opacity": body.opacity,
-                "positions": _base64(body.mesh.corners.astype("<f4")),
-                # integers from -127 to 127
-                "normals": _base64(np.round(127 * body.mesh.normals).astype(np.int8)),
+                "mesh": meshes.index(body.mesh),
                 "poses": _base64(body.poses[:, :3].astype("<f4")),
             }
             for body in bodies

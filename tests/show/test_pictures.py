@@ -14,6 +14,7 @@ from cvqmpt_lab.benchmarks.place_task import SHELF_DOOR, carried_can
 from cvqmpt_lab.certificate.certificate import certify
 from cvqmpt_lab.constraints.named import Region
 from cvqmpt_lab.constraints.task_space_region import upright, upright_box
+from cvqmpt_lab.robot.load import load_robot, robot_from_source
 from cvqmpt_lab.scene.scene import Attachment, SceneObject
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, OccupancyMap, PointCloud, Sphere
 from cvqmpt_lab.search.result import JointPath
@@ -28,10 +29,11 @@ from cvqmpt_lab.show.bodies import (
     scene_bodies,
 )
 from cvqmpt_lab.show.curves import plots_along
-from cvqmpt_lab.show.meshes import constraint_marks, hull_mesh
+from cvqmpt_lab.show.meshes import constraint_marks, hull_mesh, shape_mesh
 from cvqmpt_lab.show.picture import draw_solution, film_solution, save_film, strip, task_image
 from cvqmpt_lab.show.raster import Renderer, Viewpoint
 from cvqmpt_lab.show.recording import log_solution
+from cvqmpt_lab.show.visuals import drawn_pieces, shaded, simplified
 
 
 def test_picture_has_the_size_and_shows_the_trace(solution, tmp_path):
@@ -55,6 +57,27 @@ def test_fine_hulls_are_drawn_by_few_corners_close_to_the_whole():
         np.max(corners @ directions.T, axis=0) for corners in (mesh.corners.reshape(-1, 3), plate)
     )
     assert (drawn <= whole + 1e-12).all() and (drawn > 0.98 * whole).all()
+
+
+def test_visual_meshes_are_simplified_and_hulls_are_drawn_where_they_are_missing(
+    panda, slider_arm_urdf, tmp_path
+):
+    round_mesh = shape_mesh(Sphere(1.0)).corners.reshape(-1, 3)
+    points, faces = simplified(round_mesh, np.arange(len(round_mesh)).reshape(-1, 3), most=150)
+    assert 50 < len(faces) <= 150
+    assert np.linalg.norm(points[faces], axis=-1) == pytest.approx(1.0, abs=0.08)
+    assert (np.einsum("fij,fij->fi", shaded(points, faces).normals, points[faces]) > 0.9).all()
+    pieces = drawn_pieces(panda)
+    assert {piece.name for piece in pieces} >= {"panda_link5_0", "panda_hand_0"}
+    assert 1000 < max(len(piece.mesh.corners) for piece in pieces) <= 1200
+    hulls = robot_from_source({**panda.source, "bodies": "hulls"})
+    assert len(drawn_pieces(hulls)) == len(panda.links)
+    text = slider_arm_urdf.read_text()
+    lost = '<visual><geometry><mesh filename="lost.stl"/></geometry></visual></link>'
+    (tmp_path / "arm.urdf").write_text(text.replace("</link>", lost, 2))
+    arm = load_robot(tmp_path / "arm.urdf", "tool")
+    with pytest.warns(UserWarning, match=r"drawn by collision hulls: .*lost\.stl"):
+        assert len(drawn_pieces(arm)) == len(arm.links)
 
 
 def test_a_ghost_that_stands_where_the_robot_stands_is_not_seen(problem):
@@ -174,7 +197,7 @@ def test_solved_recording_holds_everything(solution, recorded, tmp_path):
     assert {f"/world/scene/{name}" for name in solution.problem.scene.names} <= rows.keys()
     assert {"/world/path/raw", "/world/path/hand", "/world/start/panda_hand_0"} <= rows.keys()
     assert {"/world/goals/0/panda_link0_0", "/world/constraint/0/mark"} <= rows.keys()
-    robot = [part.name for part in solution.problem.robot.links]
+    robot = [part.name for part in drawn_pieces(solution.problem.robot)]
     moving = {f"/world/robot/{name}" for name in (*robot, "carried_can")}
     moving |= {f"/world/hand/{axis}" for axis in "xyz"}
     moving |= {"/plots/tilt/0/tilt", "/plots/tilt/0/largest_by_the_bounds"}
