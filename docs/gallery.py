@@ -44,11 +44,15 @@ def main() -> None:
             several = names.get("solutions", (shown,))
             columns = min(3, len(several))
             across, high = (750, 500) if columns == 1 else (500, 380)
-            image = Image.new("RGB", (columns * across, -(-len(several) // columns) * high))
-            for k, each in enumerate(several):
-                at = (k % columns * across, k // columns * high)
-                image.paste(draw(each, size=(across, high)).convert("RGB"), at)
-            image.quantize(96).save(picture, optimize=True)
+            drawn = [draw(each, size=(across, high)).convert("RGB") for each in several]
+            image = drawn[0]  # a single one has its own size: that of a task is larger
+            if len(drawn) > 1:
+                image = Image.new("RGB", (columns * across, -(-len(drawn) // columns) * high))
+                for k, each in enumerate(drawn):
+                    image.paste(each, (k % columns * across, k // columns * high))
+            # kmeans keeps the colours of the legend, which are few pixels
+            best = Image.Quantize.MAXCOVERAGE
+            image.quantize(128, best, kmeans=3).save(picture, optimize=True)
             parts.append(f"![{title}](gallery/{picture.name})\n")
         print(f"{program.stem}: {'picture' if shown is not None else 'text'}")
     (DOCS / "gallery.md").write_text("\n".join(parts), encoding="utf-8")
