@@ -35,6 +35,14 @@ class Mesh:
     colours: np.ndarray  # (f, 3) red, green, blue in [0, 1]
     piece: np.ndarray  # (f,) index of the piece of each triangle; pieces are drawn with outlines
 
+    @property
+    def shared(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Points (n, 3), normals (n, 3) and faces (f, 3) whose corners are shared where equal."""
+        both = np.concatenate([self.corners, self.normals], axis=2).reshape(-1, 6)
+        exact = np.ascontiguousarray(both.round(7) + 0.0).view(f"V{6 * both.itemsize}").reshape(-1)
+        _, first, faces = np.unique(exact, return_index=True, return_inverse=True)
+        return both[first, :3], both[first, 3:], faces.reshape(-1, 3)
+
     def placed(self, T: np.ndarray, colour: Colour = (1.0, 1.0, 1.0)) -> "Mesh":
         """The same triangles moved by T (4, 4), in one colour."""
         turn = T[:3, :3].T

@@ -279,8 +279,7 @@ class StudioPage:
                 last, node = self._nodes.get(name, (None, None))
                 # nodes of the scene are kept, although the meshes of clouds are new every time
                 if last is None or (last.mesh is not body.mesh and body.layer != "scene"):
-                    corners = body.mesh.corners.reshape(-1, 3)
-                    faces = np.arange(len(corners)).reshape(-1, 3)
+                    corners, _, faces = body.mesh.shared
                     opacity = body.opacity if body.opacity < 1.0 else None
                     node = scene.add_mesh_simple(
                         name, corners, faces, color=body.colour, opacity=opacity

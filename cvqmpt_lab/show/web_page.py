@@ -119,11 +119,12 @@ def _html(drawing: Drawing, size: tuple[int, int] = (1100, 600)) -> str:
         },
         "meshes": [
             {
-                "positions": _base64(mesh.corners.astype("<f4")),
+                "positions": _base64(points.astype("<f4")),
                 # integers from -127 to 127
-                "normals": _base64(np.round(127 * mesh.normals).astype(np.int8)),
+                "normals": _base64(np.round(127 * normals).astype(np.int8)),
+                "faces": _base64(faces.astype("<u4")),
             }
-            for mesh in meshes
+            for points, normals, faces in (mesh.shared for mesh in meshes)
         ],
         "bodies": [
             {
