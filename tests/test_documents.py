@@ -9,10 +9,13 @@ import sys
 from pathlib import Path
 
 import nbformat
+import numpy as np
 import pytest
+from PIL import Image
 
 import cvqmpt_lab
 from cvqmpt_lab.cli.main import COMMANDS, examples_of, main, parser_with
+from cvqmpt_lab.show.bodies import BODY_COLOURS
 from cvqmpt_lab.trajectory.timing import time_path
 from cvqmpt_lab.trajectory.trajectory import save_trajectory
 
@@ -137,6 +140,14 @@ def test_the_short_examples_run_in_an_empty_folder(example, tmp_path):
     texts = re.findall(r"```text\n(.*?)```", (ROOT / "docs" / "gallery.md").read_text(), re.DOTALL)
     shown = dict(zip(EXAMPLES, texts, strict=True))[example]
     assert list(OUTPUTS["differences"](shown, done.stdout)) == [], "python docs/gallery.py"
+
+
+def test_legends_of_the_gallery_have_the_colours_of_the_picture():
+    picture = Image.open(ROOT / "docs" / "gallery" / "plan_with_constraint.png").convert("RGB")
+    legend = picture.crop((0, 480, 500, 500))
+    for named in ("goal", "trace"):
+        colour = 255 * np.array(BODY_COLOURS[named])
+        assert np.abs(np.array(legend) - colour).max(axis=2).min() < 24, named
 
 
 def test_outputs_are_compared_up_to_numbers_times_and_marked_cells(tmp_path):

@@ -12,12 +12,14 @@ import numpy as np
 import pytest
 from command_line import python
 from compiled_kernels import from_python
+from numba import TypingError
 from refusals import refused
 
 from cvqmpt_lab.base.jit import (
     KERNEL_FILES,
     Entry,
     Pointer,
+    called_at_address,
     check_arrays,
     compile_in_processes,
     entries,
@@ -86,11 +88,32 @@ def test_an_entry_is_a_function_that_other_kernels_call_by_its_address(panda):
     assert projection.project(panda.kinematics, regions, q, 1e-9, 20, scratch) > 0
     assert abs(q[0] ** 2 + q[1] ** 2 - 0.25) < 1e-9
     again = Entry(on_circle.py_func, on_circle.options)  # its machine code is on disk
+    assert 0 < again.address != on_circle.address
     rows = rows._replace(address=again.address)
     gc.collect()
     regions, q = with_functions(stack_regions(panda, (upright(),)), [rows], 0.0), np.full(7, 0.2)
     assert projection.project(panda.kinematics, regions, q, 1e-9, 20, scratch) > 0
     Entry.all.remove(again)
+
+
+@entry
+def size_and_more(pair: Pair, more: int):
+    return pair.nodes.shape[0] + more
+
+
+size_at = called_at_address(size_and_more)
+
+
+@kernel
+def size_from_afar(address, pair, more):
+    return size_at(address, (pair, more))
+
+
+def test_kernels_call_an_entry_without_a_copy_of_it_with_its_own_types_only():
+    call = from_python(size_from_afar)
+    assert call(size_and_more.kernel_address, a_pair(), 4) == 7
+    with pytest.raises(TypingError, match="size_and_more is called with"):
+        call(size_and_more.kernel_address, a_pair(), 4.0)
 
 
 UNEVEN = Pair(np.ones((3, 2)), np.zeros(4, int))

@@ -22,7 +22,7 @@ import warnings
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple, get_type_hints
+from typing import Any, ClassVar, NamedTuple, NewType, get_type_hints
 
 import numpy as np
 from llvmlite import binding as llvm
@@ -30,6 +30,7 @@ from llvmlite import ir
 from numba import config, from_dtype, njit, types
 from numba.core import cgutils
 from numba.core.caching import FunctionCache, UserProvidedCacheLocator
+from numba.core.errors import TypingError
 from numba.core.registry import cpu_target
 from numba.extending import intrinsic
 
@@ -49,12 +50,7 @@ INLINE_OPTIONS: dict[str | None, dict] = {
     "source": {"inline": "always"},
     "never": {"no_cfunc_wrapper": False},
 }
-
-
-class Pointer(list[float]):
-    """Numbers at an address: argument of an entry that compiled code calls by its `address`."""
-
-
+Pointer = NewType("Pointer", np.ndarray)  # to numbers, of an entry that is called by its `address`
 SCALAR_TYPES: dict[Any, types.Type] = {
     float: types.float64,
     int: types.int64,
@@ -183,17 +179,12 @@ class Locator(UserProvidedCacheLocator):
 class _Cache(FunctionCache):
     """Machine code of an entry on disk; it is compiled again if the file cannot be read."""
 
-    def function(self, sig: tuple[types.Type, ...]) -> Callable | None:
-        """Return the function for a signature from its machine code on disk; None: not on disk.
+    def library(self, sig: tuple[types.Type, ...]) -> tuple[Any, Any, Any] | None:
+        """Return machine code, description and environment for a signature; None: not on disk.
 
         Numba's `load_overload` also reads data for compiling callers: type rules (imports of 0.3 s)
         and the intermediate code (10 ms an entry).
         """
-        found = self.library(sig)
-        return found and cpu_target.target_context.get_executable(*found)
-
-    def library(self, sig: tuple[types.Type, ...]) -> tuple[Any, Any, Any] | None:
-        """Return machine code, description and environment for a signature; None: not on disk."""
         context = cpu_target.target_context
         try:
             kept = self._cache_file.load(self._index_key(sig, context.codegen()))
@@ -202,8 +193,13 @@ class _Cache(FunctionCache):
         if kept is None:
             return None
         (name, form, (machine_code, _)), description, environment, *_ = kept
-        # numba reads the names that are defined from intermediate code: here an empty function
-        named = f'define void @"{description.llvm_cpython_wrapper_name}"() {{ ret void }}'
+        # numba reads the names that are defined from intermediate code: here empty functions
+        defined = (
+            description.llvm_func_name,
+            description.llvm_cfunc_wrapper_name,
+            description.llvm_cpython_wrapper_name,
+        )
+        named = "".join(f'define void @"{one}"() {{ ret void }}\n' for one in defined)
         code = (machine_code, llvm.parse_assembly(named).as_bitcode())
         library = context.codegen().unserialize_library((name, form, code))
         return library, description, environment
@@ -308,24 +304,37 @@ class Entry(Kernel):
             made._cache = self.cache
         return made
 
+    @property
+    def signature(self) -> tuple[types.Type, ...]:
+        """Numba's types of the arguments."""
+        return tuple(_numba_type(form) for form in _forms(self.py_func))
+
+    @functools.cached_property
+    def _compiled(self) -> tuple[Any, Any, Callable]:
+        """Machine code, its description and its function for Python, from disk if it is there."""
+        found = self.cache and self.cache.library(self.signature)
+        if found:
+            return *found[:2], cpu_target.target_context.get_executable(*found)
+        function = self.dispatcher.compile(self.signature)
+        made = self.dispatcher.overloads[self.signature]
+        return made.library, made.fndesc, function
+
     @functools.cached_property
     def unchecked(self) -> Callable:
         """Machine code without the check of arrays, which takes some microseconds."""
-        signature = tuple(_numba_type(form) for form in _forms(self.py_func))
-        known = self.cache and self.cache.function(signature)
-        return known or self.dispatcher.compile(signature)
+        return self._compiled[2]
 
     @functools.cached_property
     def address(self) -> int:
         """Address of the machine code as a C function, for `call_function`."""
-        signature = tuple(_numba_type(form) for form in _forms(self.py_func))
-        found = self.cache and self.cache.library(signature)
-        if not found:
-            self.dispatcher.compile(signature)
-            made = self.dispatcher.overloads[signature]
-            found = made.library, made.fndesc, None
-        self._library = found[0]  # its machine code would be freed with it
-        return self._library.get_pointer_to_function(found[1].llvm_cfunc_wrapper_name)
+        library, description, _ = self._compiled
+        return library.get_pointer_to_function(description.llvm_cfunc_wrapper_name)
+
+    @functools.cached_property
+    def kernel_address(self) -> int:
+        """Address of the machine code as kernels call it, for `called_at_address`."""
+        library, description, _ = self._compiled
+        return library.get_pointer_to_function(description.llvm_func_name)
 
     def __call__(self, *arguments: Any) -> Any:
         """Check the arrays, then call the machine code; InvalidInputError names a wrong array."""
@@ -362,6 +371,31 @@ def call_function(typing_context, address, arguments):
         return builder.call(builder.inttoptr(values[0], function.as_pointer()), given)
 
     return types.int64(types.int64, arguments), generate
+
+
+def called_at_address(called: Entry) -> Any:
+    """Return a function of kernels that calls an entry without a copy of its machine code.
+
+    Numba compiles a kernel again into every entry that calls it, directly or not. The returned
+    function takes the `kernel_address` of the entry, which the caller must be given, and a tuple of
+    the arguments. The entry must return an int.
+    """
+
+    @intrinsic
+    def call(typing_context, address, arguments):
+        if tuple(map(types.unliteral, arguments)) != called.signature:
+            raise TypingError(f"{called.name} is called with {arguments}")
+
+        def generate(context, builder, signature, values):
+            convention, given = context.call_conv, signature.args[1].types
+            form = convention.get_function_type(types.int64, given)
+            pointer = builder.inttoptr(values[0], form.as_pointer())
+            unpacked = cgutils.unpack_tuple(builder, values[1])
+            return convention.call_function(builder, pointer, types.int64, given, unpacked)[1]
+
+        return types.int64(types.int64, arguments), generate
+
+    return call
 
 
 class _Form(NamedTuple):

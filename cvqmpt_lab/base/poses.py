@@ -30,18 +30,21 @@ def rigid(R: np.ndarray | list[list[float]], xyz: Iterable[float] = (0.0, 0.0, 0
 
 def rotation_matrices(vectors: FloatArray) -> FloatArray:
     """Return rotations (k, 3, 3) of rotation vectors (k, 3) [rad], bit for bit as scipy."""
-    R = []
-    for a, b, c in vectors.tolist():
-        angle = math.sqrt(a * a + b * b + c * c)
-        square = angle * angle
-        small = 0.5 - square / 48 + square * square / 3840
-        half = math.sin(angle / 2) / angle if angle > 1e-3 else small
-        R.append(_of_quaternion(half * a, half * b, half * c, math.cos(angle / 2)))
-    return np.array(R).reshape(-1, 3, 3)
+    a, b, c = np.asarray(vectors, dtype=float).reshape(-1, 3).T
+    angle = np.sqrt(a * a + b * b + c * c)
+    square = angle * angle
+    half = 0.5 - square / 48 + square * square / 3840
+    # numpy's sine may have another last digit
+    sine, cosine = (
+        np.array([[math.sin(x), math.cos(x)] for x in (angle / 2).tolist()]).reshape(-1, 2).T
+    )
+    np.divide(sine, angle, out=half, where=angle > 1e-3)
+    R = np.array(_of_quaternion(half * a, half * b, half * c, cosine))
+    return np.ascontiguousarray(np.moveaxis(R, -1, 0))
 
 
-def _of_quaternion(x: float, y: float, z: float, w: float) -> list[list[float]]:
-    """Return the rotation of a quaternion of length 1."""
+def _of_quaternion(x: Any, y: Any, z: Any, w: Any) -> list[list[Any]]:
+    """Return the rotation of a quaternion of length 1, of numbers or arrays."""
     xx, yy, zz, ww = x * x, y * y, z * z, w * w
     return [
         [xx - yy - zz + ww, 2 * (x * y - z * w), 2 * (x * z + y * w)],

@@ -343,7 +343,7 @@ def safe_advance(link_rotation, link_translation, robot, scene, margin, motion, 
     return advance
 
 
-@kernel(inline="machine")
+@kernel(inline="source")
 def in_contact(link_rotation, link_translation, robot, scene, margin):
     """Whether a posed robot comes within a margin of an obstacle or of itself.
 

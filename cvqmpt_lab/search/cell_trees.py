@@ -44,8 +44,8 @@ from cvqmpt_lab.search.motion import (
     STATE_CHECKS,
     TRAPPED,
     Space,
-    bisect_motion,
     distance,
+    motion_between,
     refine_and_check,
     segment_valid,
     step_towards,
@@ -58,7 +58,7 @@ from cvqmpt_lab.search.work import search_work
 _work = kernel(search_work)
 
 
-@kernel
+@kernel(inline="source")
 def _join(space, grids, trees, a, node, farthest):
     """Connect a node of one tree to a near node of the other tree by a direct motion.
 
@@ -90,7 +90,7 @@ def _join(space, grids, trees, a, node, farthest):
         return False
     target = trees.nodes[b, other]
     longest = max(MAX_LENGTH_RATIO * least, space.step)
-    states = bisect_motion(space, q, target, longest, grids.motion)
+    states = motion_between(space, q, target, longest, grids.motion)
     if states == 0 or not segment_valid(space, q, grids.motion[0]):
         return False
     motion = grids.motion[:states]

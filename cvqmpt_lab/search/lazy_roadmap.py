@@ -29,8 +29,8 @@ from cvqmpt_lab.search.edge_costs import (
 )
 from cvqmpt_lab.search.motion import (
     Space,
-    bisect_motion,
     distance,
+    motion_between,
     project_state,
     state_valid,
 )
@@ -343,7 +343,7 @@ def _join_nodes(space, roadmap, path, length, ends, states):
     for i in range(length - 2, -1, -1):
         a, b = path[i + 1], path[i]
         # without a limit of the length: neighbours are near each other
-        added = bisect_motion(space, roadmap.nodes[a], roadmap.nodes[b], np.inf, states[size:])
+        added = motion_between(space, roadmap.nodes[a], roadmap.nodes[b], np.inf, states[size:])
         if added == 0:
             _store_verdict(roadmap, a, b, BLOCKED)
             return NO_PATH

@@ -7,7 +7,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.base.jit import call_address, entry, kernel
+from cvqmpt_lab.base.jit import call_address, called_at_address, entry, kernel
 from cvqmpt_lab.collision.checker import CONTACT, safe_advance
 from cvqmpt_lab.collision.geometry import RobotGeometry, SceneGeometry
 from cvqmpt_lab.constraints.project import ProjectionScratch, project
@@ -61,6 +61,9 @@ class Space(NamedTuple):
     ends: Annotated[np.ndarray, "2 n"]  # work array of `motion_free`
     # largest |dq_j| of each joint per metre of sweep on a stretch, see `blocked_segment`
     motion: Annotated[np.ndarray, "n"]
+    # addresses of entries that are called without a copy of their machine code
+    bisection: int  # of `bisect_motion`
+    proof: int  # of `blocked_segment`
 
 
 @kernel(inline="source")
@@ -243,6 +246,15 @@ def bisect_motion(
     return pieces
 
 
+_bisection = called_at_address(bisect_motion)
+
+
+@kernel(inline="source")
+def motion_between(space, origin, target, longest, out):
+    """Call `bisect_motion` at its address."""
+    return _bisection(space.bisection, (space, origin, target, longest, out))
+
+
 @kernel(inline="source")
 def _place_between(space, a, b, fraction):
     """Write q = a + fraction (b - a) into space.state and pose its links."""
@@ -338,7 +350,7 @@ def _set_motion(space, states, count, begin, end):
             space.motion[j] = max(space.motion[j], change)
 
 
-@kernel
+@kernel(inline="source")
 def _blocked_for_exact(space, states, count):
     """Return as `blocked_segment`, for the exact backend: states every space.resolution."""
     for i in range(count - 1):
@@ -418,12 +430,21 @@ def blocked_segment(space: Space, states: Annotated[np.ndarray, "count n"], coun
         half = min(0.7 * advance, longest / beyond)
 
 
+_proof = called_at_address(blocked_segment)
+
+
+@kernel(inline="source")
+def path_blocked(space, states, count):
+    """Call `blocked_segment` at its address."""
+    return _proof(space.proof, (space, states, count))
+
+
 @entry
 def motion_free(space: Space, a: Annotated[np.ndarray, "n"], b: Annotated[np.ndarray, "n"]):
     """Whether b and every state of the straight joint motion towards it are free of collision."""
     for j in range(a.shape[0]):
         space.ends[0, j], space.ends[1, j] = a[j], b[j]
-    return blocked_segment(space, space.ends, 2) < 0
+    return path_blocked(space, space.ends, 2) < 0
 
 
 @kernel(inline="source")
@@ -480,7 +501,7 @@ def refine_and_check(
             segment[written] = i - 1
             written += 1
             waiting -= 1
-    blocked = blocked_segment(space, out, written)
+    blocked = path_blocked(space, out, written)
     return written, segment[blocked + 1] if blocked >= 0 else -1
 
 
@@ -493,13 +514,13 @@ def edge_verdicts(
     edge_free: Annotated[np.ndarray, "bool edges"],
     most_checks: int,
 ):
-    """Write whether nodes, and the straight motions of edges, are free of collision.
+    """Write whether the straight motions of edges are free of collision.
 
     Args:
         space: the planning space.
         nodes: configurations (k, n) [rad or m].
         edges: (e, 2), pairs of rows of nodes.
-        node_free: (k,), written.
+        node_free: (k,), whether nodes are free.
         edge_free: (e,), written; edges that are False before the call stay blocked.
         most_checks: upper bound of state checks.
 
@@ -507,8 +528,6 @@ def edge_verdicts(
         False if the check ended early because most_checks was reached.
     """
     checks = space.counters[STATE_CHECKS] + most_checks
-    for i in range(nodes.shape[0]):
-        node_free[i] = state_valid(space, nodes[i])
     for e in range(edges.shape[0]):
         if space.counters[STATE_CHECKS] > checks:
             return False

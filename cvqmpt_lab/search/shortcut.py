@@ -9,10 +9,10 @@ import numpy as np
 from cvqmpt_lab.base.jit import entry, kernel
 from cvqmpt_lab.search.motion import (
     Space,
-    bisect_motion,
-    blocked_segment,
     chord_on_manifold,
     distance,
+    motion_between,
+    path_blocked,
 )
 from cvqmpt_lab.search.result import Counters, JointPath
 from cvqmpt_lab.search.space import ConstrainedSpace
@@ -78,13 +78,13 @@ def _shorter_motion(space, states, a, b, detour):
         old += distance(states[i], states[i + 1])
     if distance(states[a], states[b]) > share * old:
         return 0
-    size = bisect_motion(space, states[a], states[b], share * old, detour[1:])
+    size = motion_between(space, states[a], states[b], share * old, detour[1:])
     for j in range(states.shape[1]):
         detour[0, j] = states[a, j]
     for i in range(size):
         if not chord_on_manifold(space, detour[i], detour[i + 1]):
             return 0
-    return size if blocked_segment(space, detour, size + 1) < 0 else 0
+    return size if path_blocked(space, detour, size + 1) < 0 else 0
 
 
 @entry

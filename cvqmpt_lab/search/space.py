@@ -22,7 +22,7 @@ from cvqmpt_lab.robot.kinematics import forward_kinematics
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Attachment, Scene
 from cvqmpt_lab.search import motion
-from cvqmpt_lab.search.motion import MAX_LENGTH_RATIO, bisect_motion, project_state, state_valid
+from cvqmpt_lab.search.motion import MAX_LENGTH_RATIO, bisect_motion, project_state
 from cvqmpt_lab.search.result import Counters, JointPath
 
 BACKENDS = ("compiled", "exact")
@@ -32,12 +32,6 @@ BACKENDS = ("compiled", "exact")
 def project_one(space: motion.Space, q: Annotated[np.ndarray, "n"]):
     """Project q (n,) in place; True on success."""
     return project_state(space, q)
-
-
-@entry
-def valid_one(space: motion.Space, q: Annotated[np.ndarray, "n"]):
-    """Whether q (n,) is free of collision."""
-    return state_valid(space, q)
 
 
 @entry
@@ -196,6 +190,8 @@ class ConstrainedSpace:
             scratch=projection_scratch(robot.kinematics, regions),
             ends=np.zeros((2, n)),
             motion=np.zeros(n),
+            bisection=bisect_motion.kernel_address,
+            proof=motion.blocked_segment.kernel_address,
         )
         check_arrays(self.arrays)
         self.doubtful = ()
@@ -280,9 +276,10 @@ class ConstrainedSpace:
     def valid(self, q: np.ndarray) -> bool:
         """Whether q (n,) is free of collision."""
         self._require_configuration(q)
-        free = valid_one.unchecked(self.arrays, q)
+        free = np.zeros(1, dtype=bool)
+        motion.states_valid.unchecked(self.arrays, q[None], free)
         self.reraise()
-        return free
+        return bool(free[0])
 
     def valid_batch(self, configurations: np.ndarray) -> np.ndarray:
         """Whether each row of configurations (b, n) is free of collision, (b,) bool."""

@@ -16,7 +16,7 @@ from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Scene
-from cvqmpt_lab.search.motion import edge_verdicts, motion_free
+from cvqmpt_lab.search.motion import edge_verdicts, motion_free, states_valid
 from cvqmpt_lab.search.space import ConstrainedSpace
 from cvqmpt_lab.training.generation import (
     SceneRecipe,
@@ -153,7 +153,9 @@ def verdicts(
     node_free = np.zeros(len(nodes), dtype=bool)
     edge_free = np.ones(len(edges), dtype=bool) if possible is None else possible.copy()
     arrays = space.arrays._replace(margin=margin)
-    done = edge_verdicts(arrays, nodes, edges, node_free, edge_free, checks * len(edges))
+    states_valid(arrays, nodes, node_free)
+    left = checks * len(edges) - len(nodes)
+    done = edge_verdicts(arrays, nodes, edges, node_free, edge_free, left)
     return (node_free, edge_free) if done else None
 
 

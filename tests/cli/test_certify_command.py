@@ -100,11 +100,12 @@ def test_what_is_not_proven_is_not_certified(judged, states, monkeypatch):
 
 def test_the_record_says_what_was_compared_and_where_it_was_closest(judged, region_problem, states):
     far = SceneObject("far", Sphere(0.1), pose((9.0, 0.0, 0.0)))
-    scene = region_problem.scene.with_objects(far)
+    scene = replace(region_problem.scene.with_objects(far), unseen=0.38)
     problem = replace(region_problem, scene=scene, attachments=(carried_can(),))
     found, robot = judged(states, problem)[1], problem.robot
     counts = found["compared"]
     assert counts["obstacles"] == len(problem.scene.obstacles) and "far" in counts["out_of_reach"]
+    assert counts["unseen"] == 0.38 and "38% of the arm's reach is unseen" in counts["notes"][-1]
     assert counts["moving_pieces"] + counts["standing_pieces"] == len(robot.links)
     hand = [pair["first"] for pair in counts["left_out"] if pair["second"] == "carried_can"]
     held_by = ("panda_hand", "panda_left", "panda_right", "panda_link7")

@@ -8,7 +8,7 @@ from refusals import refused
 from scipy.spatial.transform import Rotation
 
 from cvqmpt_lab.base.codec import from_plain, to_plain
-from cvqmpt_lab.base.poses import Placement, pose
+from cvqmpt_lab.base.poses import Placement, pose, rotation_matrices
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.scene.scene import Attachment
 
@@ -61,3 +61,11 @@ def test_angles_and_quaternions_are_scipys_to_the_last_bit():
         q *= rng.uniform(0.9992, 1.0008) / np.linalg.norm(q)
         expected = Rotation.from_quat(q).as_matrix()
         assert np.array_equal(Placement(quaternion=tuple(q)).matrix[:3, :3], expected)
+
+
+def test_rotation_vectors_become_the_rotations_of_scipy_bit_for_bit():
+    rng = np.random.default_rng(0)
+    vectors = rng.standard_normal((200, 3)) * 10.0 ** rng.uniform(-5.0, 0.5, (200, 1))
+    vectors[0] = 0.0
+    assert np.array_equal(rotation_matrices(vectors), Rotation.from_rotvec(vectors).as_matrix())
+    assert rotation_matrices(vectors[:0]).shape == (0, 3, 3)
