@@ -107,10 +107,12 @@ class MemberForm:
             from cvqmpt_lab.constraints.function_files import function_of  # few problems have one
 
             return function_of(value, where)
-        return RegionForm().read(value, where)
+        return RegionForm(with_functions=True).read(value, where)
 
     def write(self, value: Any) -> Any:
         """Return the json of a region, or the address of a function."""
+        if hasattr(value, "named"):
+            return value.named
         if isinstance(value, TaskSpaceRegion) or not hasattr(value, "source"):
             return to_plain(value)
         # without an address, it cannot be read again: the error says what to write
@@ -151,6 +153,7 @@ class PlanningProblem(Document):
 
     def _check(self) -> None:
         self._check_regions()
+        self._load_functions()
         if (len(self.start) == 0) == (self.start_region is None):
             raise InvalidProblemError(
                 f"{self.name}: give 'start' or 'start_region', one of the two"
@@ -255,6 +258,22 @@ class PlanningProblem(Document):
             from cvqmpt_lab.constraints.function_checks import check_function  # few have one
 
             check_function(function, self.robot, self.start)
+
+    def _load_functions(self) -> None:
+        """Tell constraints that depend on it what the robot carries."""
+        if not any(hasattr(part, "carrying") for part in self.constraint):
+            return
+        for item in self.attachments:
+            if item.mass is None:
+                raise InvalidProblemError(
+                    f"{self.name}: attachment {item.name!r} has no mass, which centre-of-mass "
+                    "needs: give its 'mass' [kg]"
+                )
+        loads = tuple(loads_of(self.attachments))
+        carrying = tuple(
+            part.carrying(loads) if hasattr(part, "carrying") else part for part in self.constraint
+        )
+        object.__setattr__(self, "constraint", carrying)
 
     def _within_limits(
         self,

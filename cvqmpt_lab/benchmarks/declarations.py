@@ -417,13 +417,14 @@ def _more_constraints() -> list[Suite]:
     kinds = (
         "Look-at: the hand looks at a point within 0.15 rad, from a range. Distance: the hand "
         "keeps its distance from the second joint within 1 cm. Sphere, cylinder: the origin of the "
-        "hand stays on it within 2 mm."
+        "hand stays on it within 2 mm. Joint-coupling: the sum or difference of two joints stays "
+        "within 0.01 rad. Centre-of-mass: it stays above a square."
     )
     unknown = (
         "It is not known whether each problem has a solution: only without obstacles a short "
         "search reaches a goal."
     )
-    suite = partial(Suite, problems=range(80), amounts=(Amount(cutoff=5.0),))
+    suite = partial(Suite, problems=range(120), amounts=(Amount(cutoff=5.0),))
     table = partial(_table, "layouts:group_table", what="constraint")
     return [
         suite(

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -52,6 +53,11 @@ class CentreOfMass:
 
     def reraise(self) -> None:
         """Do nothing: machine code raises no errors."""
+
+    @property
+    def named(self) -> dict[str, Any]:
+        """The constraint as problem files write it, without the load."""
+        return {"centre-of-mass": {"corners": self.corners.tolist(), "margin": self.margin}}
 
     def carrying(self, loads: tuple[Load, ...]) -> "CentreOfMass":
         """Return the constraint of a robot with a load."""

@@ -2,10 +2,11 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from cvqmpt_lab.base.codec import Checked
+from cvqmpt_lab.base.codec import Checked, to_plain
 from cvqmpt_lab.base.errors import InvalidInputError, require_choice, shown
 from cvqmpt_lab.base.jit import Pointer, entry
 from cvqmpt_lab.base.values import scalar
@@ -50,6 +51,11 @@ class JointCoupling(Checked):
 
     def reraise(self) -> None:
         """Do nothing: machine code raises no errors."""
+
+    @property
+    def named(self) -> dict[str, Any]:
+        """The constraint as problem files write it."""
+        return {"joint-coupling": to_plain(self, complete=True)}
 
 
 @dataclass(frozen=True, eq=False)

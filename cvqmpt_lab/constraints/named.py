@@ -7,6 +7,7 @@ A new name is a function that returns a region, here or in a file of its own, an
 import json
 import warnings
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Annotated, Any, get_args
 
 import numpy as np
@@ -21,7 +22,7 @@ from cvqmpt_lab.base.errors import (
     shown,
 )
 from cvqmpt_lab.base.poses import Placement, Pose, pose, rigid
-from cvqmpt_lab.base.values import Angle, Length, Name, frozen
+from cvqmpt_lab.base.values import Angle, Array, FloatArray, Length, Name, frozen
 from cvqmpt_lab.constraints.task_space_region import (
     FREE,
     Axis,
@@ -187,6 +188,36 @@ def on_cylinder(
     return TaskSpaceRegion(free.T0_w, free.Tw_e, free.Bw, radius=bounds)
 
 
+def joint_coupling(
+    factors: Mapping[str, float], lower: float | None = 0.0, upper: float | None = 0.0
+) -> Any:
+    """Return the constraint of a weighted sum of joints.
+
+    Args:
+        factors: factor of each joint of the sum, by the joint's name.
+        lower: smallest value of the sum [rad or m]; None: no bound.
+        upper: largest value of the sum [rad or m]; None: no bound.
+    """
+    from cvqmpt_lab.constraints.joint_coupling import JointCoupling  # few problems have one
+
+    return JointCoupling(factors, lower, upper)
+
+
+def centre_of_mass(
+    corners: Annotated[FloatArray, Array((None, 2), "corners [x, y] of a polygon [m]")],
+    margin: Tolerance = 0.0,
+) -> Any:
+    """Return the constraint that the robot's centre of mass, with its load, is above a polygon.
+
+    Args:
+        corners: corners (k, 2) of a convex polygon in order, in the robot's base frame [m].
+        margin: distance that it keeps from the edges [m].
+    """
+    from cvqmpt_lab.constraints.centre_of_mass import CentreOfMass  # few problems have one
+
+    return CentreOfMass(corners, margin)
+
+
 def _direction(axis: Axis) -> Vector:
     x, y, z = (-1.0 if axis[0] == "-" else 1.0) * np.eye(3)["xyz".index(axis[-1])]
     return x, y, z
@@ -205,16 +236,18 @@ NAMED_REGIONS: Mapping[str, Any] = {
     "distance": distance,
     "on-sphere": on_sphere,
     "on-cylinder": on_cylinder,
+    "joint-coupling": joint_coupling,
+    "centre-of-mass": centre_of_mass,
 }
 
 
-def region(name: str, **fields: Any) -> TaskSpaceRegion:
+def region(name: str, **fields: Any) -> Any:
     """Return a region by name and fields of a problem file: ``region("plane", normal=..., ...)``.
 
     Names and fields: see `NAMED_REGIONS`; UnknownChoiceError or InvalidInputError for others.
     """
     require_choice("region", name, NAMED_REGIONS)
-    return from_plain(Region, {name: fields})
+    return RegionForm(with_functions=True).read({name: fields}, "")
 
 
 def _along(point: Vector, direction: Vector) -> np.ndarray:
@@ -229,10 +262,13 @@ def _along(point: Vector, direction: Vector) -> np.ndarray:
     return rigid(np.stack([x, np.cross(z, x), z], axis=1), point)
 
 
+@dataclass(frozen=True)
 class RegionForm:
     """Json form of a region: in full (a chain if it has a "base"), or by name."""
 
-    def read(self, value: Any, where: str) -> TaskSpaceRegion:
+    with_functions: bool = False  # whether names of constraints that are no regions are read, too
+
+    def read(self, value: Any, where: str) -> Any:
         """Return the region of a json value."""
         if isinstance(value, TaskSpaceRegion):
             return value
@@ -246,6 +282,8 @@ class RegionForm:
                 "look-at": {"point": [0.6, 0.0, 0.2], "angle": 0.1},
                 "distance": {"bounds": [0.3, 0.5], "point": [0.6, 0.0, 0.2]},
                 "on-sphere": {"centre": [0.6, 0.0, 0.2], "radius": 0.3},
+                "joint-coupling": {"factors": {"JOINT": 1.0, "OTHER": -1.0}},
+                "centre-of-mass": {"corners": [[0.1, 0.1], [-0.1, 0.1], [0.0, -0.1]]},
                 "on-cylinder": {"direction": [0, 0, 1], "point": [0.6, 0.0, 0.2], "radius": 0.3},
             }
             filled = json.dumps({value: examples.get(value, 0.1)})
@@ -275,8 +313,12 @@ class RegionForm:
         if not isinstance(content, Mapping):
             content = {next(iter(field_kinds(kind))): content}
         made = from_plain(kind, content, at(where, name))
+        if not isinstance(made, TaskSpaceRegion) and not self.with_functions:
+            raise InvalidInputError(f"{where} is {name}, which is no region: give it as constraint")
         if HAND_FIELD not in value:
             return made
+        if not isinstance(made, TaskSpaceRegion):
+            raise InvalidInputError(f"{where}: {name} is about no frame: leave out {HAND_FIELD}")
         hand = from_plain(Name | None, value[HAND_FIELD], at(where, HAND_FIELD))
         return made.changed(end_effector=hand)
 

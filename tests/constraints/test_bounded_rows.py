@@ -7,13 +7,17 @@ import pinocchio as pin
 import pytest
 from refusals import refused
 
+from cvqmpt_lab.benchmarks.declarations import SUITES
 from cvqmpt_lab.constraints.centre_of_mass import CentreOfMass
 from cvqmpt_lab.constraints.joint_coupling import JointCoupling
 from cvqmpt_lab.constraints.region_constraint import RegionConstraint
 from cvqmpt_lab.constraints.task_space_region import upright
+from cvqmpt_lab.planning.pipeline import solve
+from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.dynamics import Load, loaded_model
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.scene.scene import Scene
+from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.space import ConstrainedSpace
 
 SQUARE = np.array([[0.1, 0.1], [-0.1, 0.1], [-0.1, -0.1], [0.1, -0.1]])
@@ -64,3 +68,21 @@ def test_wrong_polygons_joints_and_robots_without_masses_are_refused(talos, slid
     refused("a factor other than 0", JointCoupling, {"a": 0.0})
     refused("lower <= upper", JointCoupling, {"a": 1.0}, 1.0, 0.0)
     assert replace(CentreOfMass(SQUARE), margin=0.1).on(talos).describe().endswith("0.1 m inside")
+
+
+def test_they_stand_in_problem_files_and_their_paths_are_proven():
+    for index in (82, 100):
+        problem = SUITES["constraints-more"].solvable(index)
+        data = problem.to_dict()
+        again = PlanningProblem.from_dict(data)
+        assert again.to_dict() == data and again.constraint[0].named == data["constraint"][0]
+        certificate = solve(again, "birrt", Budget(iterations=3000), seed=0).certificate
+        assert certificate.valid and certificate.constraint_states == 0
+        refused(
+            "no region", PlanningProblem.from_dict, data | {"goal_region": data["constraint"][0]}
+        )
+        held = [{"name": "box", "shape": {"type": "sphere", "radius": 0.01}, "T_hand_object": {}}]
+    balanced = data | {"attachments": held}
+    refused("attachment 'box' has no mass", PlanningProblem.from_dict, balanced)
+    held[0]["mass"] = 2.0
+    assert PlanningProblem.from_dict(balanced).constraint[0].loads[0].mass == 2.0
