@@ -30,7 +30,13 @@ from cvqmpt_lab.cli.problem_arguments import chosen_robot, configuration, is_fun
 from cvqmpt_lab.cli.problem_options import ROBOT, SCAN
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.goals import SAMPLE_MARGIN_M, sample_region
-from cvqmpt_lab.constraints.named import NAMED_REGIONS, Region, rpy_of, upper_axis
+from cvqmpt_lab.constraints.named import (
+    NAMED_REGIONS,
+    Region,
+    RegionForm,
+    rpy_of,
+    upper_axis,
+)
 from cvqmpt_lab.constraints.region_constraint import Member
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot
@@ -246,7 +252,9 @@ def _constraint(text: str, robot: Robot, start: np.ndarray) -> Member:
 
         return load_function(text)
     if text.lstrip().startswith("{"):
-        return from_plain(Region, json_object(text, "--constraint"), "--constraint")
+        return RegionForm(with_functions=True).read(
+            json_object(text, "--constraint"), "--constraint"
+        )
     name, _, value = text.partition("=")
     require_choice("--constraint", name, NAMED_REGIONS)
     fields: dict[str, Any] = {}
@@ -268,7 +276,7 @@ def _constraint(text: str, robot: Robot, start: np.ndarray) -> Member:
     if value:
         given = numbers("--constraint", value, () if "," in value else ("VALUE",))
         fields[next(iter(field_kinds(NAMED_REGIONS[name])))] = given if len(given) > 1 else given[0]
-    return from_plain(Region, {name: fields}, "--constraint")
+    return RegionForm(with_functions=True).read({name: fields}, "--constraint")
 
 
 def run(args: argparse.Namespace) -> None:
