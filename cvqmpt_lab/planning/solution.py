@@ -38,7 +38,7 @@ class Solution:
     goals: np.ndarray = field(default_factory=lambda: np.empty((0, 0)))
 
     def __repr__(self) -> str:
-        outcome = "solved and certified" if self.solved else "not solved"
+        outcome = self.verdict or "not solved"
         brief = ("note", "status", "left out", "length", "certificate")
         lines = [line for line in self.report() if line[:12].strip() in brief]
         return "\n".join([f"Solution of {self.problem.name!r}: {outcome}", *lines])
@@ -52,6 +52,13 @@ class Solution:
     def solved(self) -> bool:
         """Whether there is a certified path."""
         return self.certificate is not None and self.certificate.valid
+
+    @property
+    def verdict(self) -> str:
+        """What is certified, and what of the constraint is not proven; "" if nothing is."""
+        if self.certificate is None or not self.solved:
+            return ""
+        return "; ".join(filter(None, ("solved and certified", self.certificate.constraint_gap)))
 
     @property
     def status(self) -> str:

@@ -304,7 +304,7 @@ def drawing_of_solution(
         goals=goals,
         hidden=hidden,
         plots=plots,
-        verdict="solved and certified" if solution.solved else "not solved",
+        verdict=solution.verdict or "not solved",
         lines=repr(solution).splitlines(),
     )
 

@@ -284,7 +284,9 @@ class Studio:
             case "problem":
                 return "problem.json", json_text(response.problem.to_dict()).encode()
             case "page":
-                verdict = f"certified path of {response.planner}"
+                solution = response.solution
+                gap = solution and solution.certificate and solution.certificate.constraint_gap
+                verdict = f"certified path of {response.planner}{'; ' if gap else ''}{gap or ''}"
                 return "plan.html", path_html(response.problem, path.states, verdict).encode()
             case "picture":
                 return "plan.png", png_of(response.solution) or b""
