@@ -20,6 +20,7 @@ from cvqmpt_lab.base.errors import CvqmptError, InvalidInputError, UnknownChoice
 COMMANDS = {  # by name: NAME of the module cvqmpt_lab.cli.NAME_command, and a summary
     "plan": ("plan", "plan one problem and print a short report"),
     "certify": ("certify", "certify a path or trajectory, or all paths of a run again"),
+    "follow": ("follow", "move the hand along straight lines through poses"),
     "execute": ("execute", "execute a motion or task in a physics simulation"),
     "studio": ("plan", "drag start, goal and obstacles in the browser; the path is planned again"),
     "reproduce": ("reproduce", "run a suite of problems or tasks and write its rows and tables"),

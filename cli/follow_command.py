@@ -1,0 +1,122 @@
+"""`cvqmpt follow`: a motion of the hand along straight lines through poses."""
+
+import argparse
+import csv
+import json
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from cvqmpt_lab.base.errors import InvalidInputError, located
+from cvqmpt_lab.base.files import csv_table, read_text, write_text
+from cvqmpt_lab.base.poses import Placement
+from cvqmpt_lab.base.values import bound_text
+from cvqmpt_lab.cli.options import SEED, Options, file_of_kind, numbers, option
+from cvqmpt_lab.cli.problem_arguments import chosen_robot, configuration
+from cvqmpt_lab.cli.problem_options import ROBOT
+from cvqmpt_lab.planning.follow_lines import follow_lines, timed
+from cvqmpt_lab.robot.robot import SLOW_SPEED
+from cvqmpt_lab.scene.scene import Scene
+from cvqmpt_lab.scene.scene_files import read_scene
+from cvqmpt_lab.trajectory.timing import TimingSettings
+from cvqmpt_lab.trajectory.trajectory import save_trajectory
+
+
+def run(args: argparse.Namespace) -> int:
+    """Plan, certify, write and print; return 0, or 2 where a line cannot be followed."""
+    robot = chosen_robot(args)
+    scene = Scene("free space", ()) if args.scene is None else read_scene(args.scene)
+    start = None if args.start is None else configuration(robot, "--start", args.start)
+    legs = follow_lines(robot, scene, poses_of(args.poses), *args.tolerance, start, args.seed)
+    states = np.concatenate([legs[0].path.states, *(leg.path.states[1:] for leg in legs[1:])])
+    lines = [
+        f"line {k} to {k + 1}  {leg.path.length:.2f} rad, {len(leg.path.states)} states; certified "
+        f"{leg.problem.constraint[0].on(robot).describe()}"
+        for k, leg in enumerate(legs)
+    ]
+    if args.out is not None:
+        write_text(args.out, csv_table([robot.joint_names, *states.tolist()]))
+        lines.append(f"path         {len(states)} states written to {args.out}")
+    if args.trajectory is not None:
+        motion = timed(legs, TimingSettings(speed=args.speed))
+        save_trajectory(motion, args.trajectory)
+        lines.append(
+            f"trajectory   {motion.duration:.2f} s at {args.speed:g} of the joint limits, at rest "
+            f"at every pose, at most {bound_text(motion.deviation, up=True)} rad off the path, "
+            f"certified; written to {args.trajectory}"
+        )
+    told = {"joint_names": robot.joint_names, "states": states.tolist(), "certified": True}
+    print(json.dumps(told) if args.json else "\n".join(lines))
+    return 0
+
+
+def poses_of(path: Path) -> list[np.ndarray]:
+    """Return the poses (4, 4) of a csv file: x, y, z and roll, pitch, yaw, or a quaternion."""
+    rows = [row for row in csv.reader(read_text(path).splitlines()) if row]
+    found = []
+    for k, row in enumerate(rows):
+        try:
+            values = [float(cell) for cell in row]
+        except ValueError as error:
+            if k == 0:
+                continue  # a header
+            raise InvalidInputError(f"{path}: line {k + 1} is {row}; give numbers") from error
+        if len(values) not in (6, 7):
+            raise InvalidInputError(
+                f"{path}: line {k + 1} has {len(values)} numbers; give x, y, z, roll, pitch, yaw "
+                "[m, rad], or x, y, z and a quaternion x, y, z, w"
+            )
+        x, y, z, *turn = values
+        kind = "rpy" if len(turn) == 3 else "quaternion"
+        with located(f"{path}: line {k + 1}"):
+            found.append(Placement((x, y, z), **{kind: tuple(turn)}).matrix)
+    return found
+
+
+def _tolerance(text: str) -> list[float]:
+    """Return the tolerances of --tolerance [m, rad]."""
+    given = numbers("--tolerance", text)
+    if len(given) > 2 or min(given) <= 0.0:
+        raise InvalidInputError(f"--tolerance {text!r}: write M or M,RAD, above 0")
+    return given
+
+
+OPTIONS: Options = {
+    "poses": option(
+        "poses of the end effector in order, one a line: x, y, z and roll, pitch, yaw, or a "
+        "quaternion x, y, z, w [m, rad]",
+        type=Path,
+        metavar="POSES.csv",
+    ),
+    "the robot (panda)": ROBOT,
+    "--scene": option("obstacles (none)", type=Path, metavar="S.json"),
+    "--start": option(
+        "configuration at the first pose (any that is free), numbers separated by commas",
+        metavar="Q",
+    ),
+    "--tolerance": option(
+        "largest distance from the lines, and largest angle from the orientation interpolated "
+        "along them (0.002,0.01)",
+        type=_tolerance,
+        default=[0.002, 0.01],
+        metavar="M[,RAD]",
+    ),
+    "--out": option(
+        "write the states", type=partial(file_of_kind, "--out", (".csv",)), metavar="PATH.csv"
+    ),
+    "--trajectory": option(
+        "write the fastest motion within --speed, at rest at every pose",
+        type=partial(file_of_kind, "--trajectory", (".csv", ".json")),
+        metavar="OUT.csv|OUT.json",
+    ),
+    "--speed": option(
+        "fraction of the joint limits that --trajectory uses (0.1)",
+        type=float,
+        default=SLOW_SPEED,
+        metavar="FACTOR",
+    ),
+    **SEED,
+    "--json": option("print one json object instead", action="store_true"),
+}
+COMMANDS = {"follow": (run, OPTIONS)}
