@@ -158,7 +158,8 @@ PROBLEM: Options = {
     ),
     "--constraint": option(
         "for --start and --goal: upright, upright-box, fixed-orientation, plane, line, pose, "
-        "relative-pose, look-at, distance, on-sphere, on-cylinder (the first three keep the end "
+        "relative-pose, look-at, distance, on-sphere, on-cylinder, joint-coupling, centre-of-mass "
+        "(the first three keep the end "
         "effector's orientation at the start, relative-pose=HAND keeps the other hand's pose "
         "relative to HAND, look-at=X,Y,Z keeps a point ahead of it), or a region as json; for any "
         "problem: module:F, a constraint function of your own; repeatable",
