@@ -28,11 +28,12 @@ def run(args: argparse.Namespace) -> int:
     robot = chosen_robot(args)
     scene = Scene("free space", ()) if args.scene is None else read_scene(args.scene)
     start = None if args.start is None else configuration(robot, "--start", args.start)
-    legs = follow_lines(robot, scene, poses_of(args.poses), *args.tolerance, start, args.seed)
+    poses, (metres, radians) = poses_of(args.poses), args.tolerance
+    legs = follow_lines(robot, scene, poses, metres, radians, start, args.seed)
     states = np.concatenate([legs[0].path.states, *(leg.path.states[1:] for leg in legs[1:])])
     lines = [
         f"line {k} to {k + 1}  {leg.path.length:.2f} rad, {len(leg.path.states)} states; certified "
-        f"{leg.problem.constraint[0].on(robot).describe()}"
+        f"{leg.line.describe()}"
         for k, leg in enumerate(legs)
     ]
     if args.out is not None:
@@ -67,10 +68,10 @@ def poses_of(path: Path) -> list[np.ndarray]:
                 f"{path}: line {k + 1} has {len(values)} numbers; give x, y, z, roll, pitch, yaw "
                 "[m, rad], or x, y, z and a quaternion x, y, z, w"
             )
-        x, y, z, *turn = values
-        kind = "rpy" if len(turn) == 3 else "quaternion"
+        x, y, z, a, b, c, *w = values
         with located(f"{path}: line {k + 1}"):
-            found.append(Placement((x, y, z), **{kind: tuple(turn)}).matrix)
+            placed = Placement((x, y, z), quaternion=(a, b, c, w[0])) if w else None
+            found.append((placed or Placement((x, y, z), rpy=(a, b, c))).matrix)
     return found
 
 
@@ -79,7 +80,7 @@ def _tolerance(text: str) -> list[float]:
     given = numbers("--tolerance", text)
     if len(given) > 2 or min(given) <= 0.0:
         raise InvalidInputError(f"--tolerance {text!r}: write M or M,RAD, above 0")
-    return given
+    return [*given, 0.01][:2]
 
 
 OPTIONS: Options = {

@@ -171,8 +171,9 @@ def advice(lines: Mapping[str, Interval]) -> bytes:
     for place, ratio in enumerate(lines.values()):
         middle, low, high = ratio[:3]
         colour = colours[high is not None and high < 1.0]
-        axes.plot([low, high], [place] * 2, color=colour, linewidth=3.0)
-        axes.plot(middle, place, "o", color=colour)
+        ends = np.array([low, middle, high], dtype=float)
+        axes.plot(ends[[0, 2]], [place] * 2, color=colour, linewidth=3.0)
+        axes.plot(ends[1], place, "o", color=colour)
         above: Any = {"textcoords": "offset points", "ha": "center"}
         axes.annotate(f"{middle:.2f}", (middle, place), (0, 5), **above)
     axes.set_yticks(range(len(lines)), list(lines))

@@ -37,6 +37,8 @@ class FunctionConstraint(Constraint):
 
     # where problem files and other processes find it: address and fields
     source: tuple[str, Mapping[str, Any]] | None = None
+    # function that returns it for these two, in other processes
+    load: Callable[[str, Mapping[str, Any]], "FunctionConstraint"] | None = None
 
     def __init__(
         self,
@@ -157,9 +159,7 @@ class FunctionConstraint(Constraint):
 
     def __reduce__(self) -> Any:
         if self.source is not None:
-            from cvqmpt_lab.constraints.function_files import load_function
-
-            return load_function, self.source
+            return self.load, self.source
         return super().__reduce_ex__(2)
 
     @staticmethod

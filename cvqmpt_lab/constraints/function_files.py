@@ -83,5 +83,5 @@ def load_function(
         raise InvalidInputError(
             f"{what} is {shown(found)}: give a FunctionConstraint, or a function that returns one"
         )
-    found.source = address, dict(fields)
+    found.source, found.load = (address, dict(fields)), load_function
     return found

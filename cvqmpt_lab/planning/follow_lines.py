@@ -7,7 +7,6 @@ move its elbow out of the way. The cheapest chain of postures is kept.
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -32,6 +31,7 @@ from cvqmpt_lab.trajectory.trajectory import Trajectory
 class Leg(NamedTuple):
     """A certified path along one line."""
 
+    line: AlongLine
     problem: PlanningProblem  # its constraint is the line with its tolerances
     path: JointPath
     certificate: Certificate
@@ -87,10 +87,15 @@ def timed(legs: Sequence[Leg], settings: TimingSettings | None = None) -> Trajec
     motions = [certified_motion(leg.problem, leg.path, settings) for leg in legs]
     whole, begun = motions[0], motions[0].duration
     for motion in motions[1:]:
-        kinds = ("positions", "velocities", "accelerations")
-        joined = {k: np.concatenate([getattr(whole, k), getattr(motion, k)[1:]]) for k in kinds}
         times = np.round(np.concatenate([whole.times, begun + motion.times[1:]]), 9)
-        whole = replace(whole, times=times, **joined)
+        whole = Trajectory(
+            motion.joint_names,
+            times,
+            np.concatenate([whole.positions, motion.positions[1:]]),
+            np.concatenate([whole.velocities, motion.velocities[1:]]),
+            np.concatenate([whole.accelerations, motion.accelerations[1:]]),
+            max(whole.deviation, motion.deviation),
+        )
         begun = float(times[-1])
     return whole
 
@@ -109,10 +114,10 @@ def _legs(
     states, ends = _postures(robot, checker, lines, start, seed, step)
     for line, (begin, end) in zip(lines, pairwise(ends), strict=True):
         path = JointPath(states[begin : end + 1])
-        near = (AlongLine(robot, line, *tolerances),)
+        near = AlongLine(robot, line, *tolerances)
         first, last = path.states[0], path.states[-1:]
-        leg = PlanningProblem("line", robot, scene, first, last, constraint=near)
-        yield Leg(leg, path, certify(leg, path))
+        leg = PlanningProblem("line", robot, scene, first, last, constraint=(near,))
+        yield Leg(near, leg, path, certify(leg, path))
 
 
 def _postures(
