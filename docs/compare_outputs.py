@@ -62,13 +62,14 @@ def texts(path: Path) -> list[str]:
     for cell in nbformat.read(path, as_version=4).cells:
         if cell.cell_type == "code" and "not-compared" not in cell.metadata.get("tags", ()):
             parts = [output for output in cell.outputs if output.get("name") != "stderr"]
+            # a stream may be stored in several parts
             shown = [
-                part.get("text")
-                or part.data.get("text/markdown")
-                or part.data.get("text/plain", "")
+                part.text
+                if part.output_type == "stream"
+                else f"{part.data.get('text/markdown') or part.data.get('text/plain', '')}\n"
                 for part in parts
             ]
-            found.append("\n".join(shown))
+            found.append("".join(shown))
     return found
 
 

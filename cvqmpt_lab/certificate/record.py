@@ -43,7 +43,8 @@ def record(
         problem: the problem that the motion was judged for.
         motion: the path or trajectory.
         found: the check.
-        slower: factor on its speed at which every limit holds, see `speed_within_limits`.
+        slower: factor on the speed of a trajectory at which every limit holds, see
+            `speed_within_limits`.
     """
     certificate, closest = found.certificate, found.certificate.closest
     faults = [
@@ -105,7 +106,7 @@ def record(
             }
             for use in found.uses
         ],
-        "limits_hold_at_speed": slower,
+        "limits_hold_at_speed": None if motion.times is None else slower,
         "jerk": _jerk(problem, motion),
         **finite(numbers),
         "tolerances": {

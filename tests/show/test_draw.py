@@ -46,5 +46,5 @@ def test_help_of_the_package_is_readable():
     for kind in (cvqmpt_lab.PlanningProblem, cvqmpt_lab.Scene, cvqmpt_lab.Box):
         assert not re.search("Annotated| at 0x|<class", str(inspect.signature(kind)))
     text = pydoc.plain(pydoc.render_doc(cvqmpt_lab.PlanningProblem))
-    assert "start: 'State' = <factory>, goals: 'States' = <factory>, constraint: 'Regions'" in text
+    assert "start: 'State' = <factory>, goals: 'States' = <factory>, constraint: 'Members'" in text
     refused("plain", region, "plain")

@@ -106,7 +106,7 @@ def test_a_browser_shows_scene_robot_and_plots(solution, task_solution, tmp_path
     shown = {}
     for page in ("plan.html#0", "used.html#0", "task.html#0"):
         words = "--headless --no-sandbox --use-angle=swiftshader --enable-unsafe-swiftshader "
-        words += "--window-size=700,900 --timeout=8000 --enable-logging=stderr"
+        words += "--window-size=700,900 --virtual-time-budget=4000 --enable-logging=stderr"
         files = [f"--user-data-dir={tmp_path}/user", f"--screenshot={tmp_path}/shot.png"]
         command = [BROWSER, *words.split(), *files, f"file://{tmp_path}/{page}"]
         done = subprocess.run(command, capture_output=True, text=True, timeout=120)
