@@ -24,7 +24,14 @@ class _Axis:
 
     @staticmethod
     def over(values: Sequence[float], log: bool, label: str, left: float) -> "_Axis":
-        """Return an axis that contains values; from zero if it is not logarithmic."""
+        """Return an axis that contains values; from zero if it is not logarithmic.
+
+        Args:
+            values: the values that are drawn.
+            log: whether the axis is logarithmic.
+            label: its title.
+            left: where it begins on the page.
+        """
         high = max(values, default=1.0)
         low = min((x for x in values if x > 0.0), default=0.1 * high) if log else 0.0
         return _Axis(low, 1.05 * max(high, 1e-9 + low), log, label, left)

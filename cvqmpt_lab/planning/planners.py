@@ -72,7 +72,6 @@ PLANNERS = _by_name(
     )
 )
 CONTROLS = _by_name(_registered("controls"))
-UNSHIPPED = _by_name(_registered("unshipped_planners"))
 
 # names of planners in other libraries, and the similar planners here
 _NAMES_ELSEWHERE = {
@@ -98,7 +97,7 @@ def planner_named(name: str, model: str | None = None, reach: float | None = Non
         raise InvalidInputError(
             f"unknown planner {name!r}; did you mean {_NAMES_ELSEWHERE[plain]}?"
         )
-    ours = {**PLANNERS, **CONTROLS, **UNSHIPPED}
+    ours = {**PLANNERS, **CONTROLS, **_by_name(_registered("unshipped_planners"))}
     refuse_clash(name, ours)
     found = ours.get(name) or _composed(name)
     if found is None and is_external(name):
