@@ -28,11 +28,14 @@ from cvqmpt_lab.cli.options import (
     positive,
     refuse_given,
 )
-from cvqmpt_lab.cli.problem_arguments import chosen_problem, chosen_robot, robot_source
+from cvqmpt_lab.cli.problem_arguments import (
+    chosen_problem,
+    chosen_robot,
+    robot_source,
+    with_tool_speed,
+)
 from cvqmpt_lab.cli.problem_options import PROBLEM, ROBOT
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.robot.frame_speeds import with_frame_limits
-from cvqmpt_lab.robot.robot import FrameLimit
 from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.scene.scene_files import read_scene
 from cvqmpt_lab.tasks.task import Task
@@ -92,10 +95,7 @@ def _by_request(args: argparse.Namespace, motion: Motion) -> tuple[PlanningProbl
         raise InvalidInputError("--request states start, goals and constraint; give no problem")
     unused = ["current", "start_velocity", "end_velocity", "part", "clearance"]
     refuse_given(args, unused, "does not go with --request, which states start and goals")
-    robot, scene = chosen_robot(args), Scene("no scene", ())
-    if args.tool_speed is not None:
-        limits = dict.fromkeys(robot.end_effectors, FrameLimit(*args.tool_speed))
-        robot = with_frame_limits(robot, {**robot.frame_limits, **limits})
+    robot, scene = with_tool_speed(args, chosen_robot(args)), Scene("no scene", ())
     request = read_request(args.request, robot)
     if args.scene is None:
         log("no --scene is given: the motion is compared with the robot itself alone")
@@ -120,19 +120,20 @@ def _ends(args: argparse.Namespace, motion: Motion, problem: PlanningProblem) ->
                 f"{said} has {len(velocity)} numbers; give {len(names)}, one each for "
                 f"{', '.join(names)}"
             )
-    begin, end = (None if v is None else np.array(v) for v in given.values())
+    current, begin, end = (
+        None if v is None else np.array(v) for v in (args.current, *given.values())
+    )
     if args.part and args.current is None:
         raise InvalidInputError(
             "--part: a part of a motion begins where the arm is: give --current"
         )
-    return Ends(args.current, args.tolerance, begin, end, args.part)
+    return Ends(current, args.tolerance, begin, end, args.part)
 
 
 def _certify_task(args: argparse.Namespace) -> int:
     """Certify the motions of all phases of a task, in a folder of plan --trajectory."""
     refuse_given(args, ["problems_dir"], "goes with the directory of a run; leave it out")
-    if args.current is not None:
-        raise InvalidInputError("--current goes with one motion; a task states where it begins")
+    refuse_given(args, ["current"], "goes with one motion; a task states where it begins")
     why = "goes with one motion; those of a task begin and end at rest"
     refuse_given(args, ["start_velocity", "end_velocity", "part"], why)
     task = chosen_problem(args)
@@ -268,7 +269,7 @@ OPTIONS: Options = {
     ),
     "--current": option(
         "current configuration of the arm, in quotes [rad]; the motion must begin there",
-        type=lambda text: np.array(numbers("--current", text)),
+        type=partial(numbers, "--current"),
         metavar="Q",
     ),
     "--tolerance": option(

@@ -192,12 +192,18 @@ def with_limits(
             problem = replace(problem, robot=robot)
     if args.tool_speed is None:
         return problem
-    robot = robot_from_source(problem.robot) if isinstance(problem, Task) else problem.robot
-    limits = dict.fromkeys(robot.end_effectors, FrameLimit(*args.tool_speed))
-    limited = with_frame_limits(robot, {**robot.frame_limits, **limits})
     if isinstance(problem, Task):
-        return replace(problem, robot=limited.source)
-    return replace(problem, robot=limited)
+        robot = with_tool_speed(args, robot_from_source(problem.robot))
+        return replace(problem, robot=robot.source)
+    return replace(problem, robot=with_tool_speed(args, problem.robot))
+
+
+def with_tool_speed(args: argparse.Namespace, robot: Robot) -> Robot:
+    """Return the robot with --tool-speed for its end effectors."""
+    if args.tool_speed is None:
+        return robot
+    limits = dict.fromkeys(robot.end_effectors, FrameLimit(*args.tool_speed))
+    return with_frame_limits(robot, {**robot.frame_limits, **limits})
 
 
 def budget(args: argparse.Namespace, cost: float | None = None) -> Budget:

@@ -146,6 +146,8 @@ def test_the_command_judges_by_a_request(tmp_path, capsys, request_of, solution,
     assert main(words) == 0
     told = capsys.readouterr()
     assert told.out.startswith("certificate certified") and "no --scene is given" in told.err
+    said = refused(capsys, *words, "--current", "0 0 0 0 0 0 0")
+    assert "--current does not go with --request" in said
 
 
 WRONG = {

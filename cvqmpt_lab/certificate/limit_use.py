@@ -7,6 +7,7 @@ polynomials, efforts are bounded between the times at which they are computed.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -151,6 +152,47 @@ def rate_uses(
         yield LimitUse(kind, name, value, float(limit[joint]), unit, float(moment))
 
 
+class _Parts:
+    """Equal parts of every piece of a curve, so short that a value hardly bends within one.
+
+    On a part h [s] long a value is at most the larger one of its ends plus h^2 / 8 times its bend.
+
+    Args:
+        curve: q(t) of k pieces.
+        bend: bounds (k, f) of the second derivatives of f values over time.
+        flat: (f,) largest h^2 / 8 times the bend.
+    """
+
+    def __init__(self, curve: PPoly, bend: np.ndarray, flat: np.ndarray) -> None:
+        self._curve, self._bend, self._spans = curve, bend, np.diff(curve.x)
+        counts = np.sqrt((bend / (8.0 * flat)).max(axis=1)) * self._spans
+        self._counts = np.maximum(np.ceil(counts), 1.0)
+        self.total = float(self._counts.sum())  # number of parts; it may be too large to cut
+
+    @cached_property
+    def _ends(self) -> tuple[np.ndarray, np.ndarray]:
+        """Piece of each end of a part, and its time after the begin of the piece [s]."""
+        piece, number = numbered_parts(self._counts.astype(int) + 1)
+        return piece, number * (self._spans / self._counts)[piece]
+
+    @property
+    def times(self) -> np.ndarray:
+        """Times (e,) of the ends [s]."""
+        piece, after = self._ends
+        return self._curve.x[piece] + after
+
+    @property
+    def beyond(self) -> np.ndarray:
+        """Largest excess (e, f) of values within a part over its ends."""
+        piece, _ = self._ends
+        return ((self._spans / self._counts) ** 2 / 8.0)[piece, None] * self._bend[piece]
+
+    def at(self, order: int) -> np.ndarray:
+        """Return a derivative (e, n) of q at the ends."""
+        piece, after = self._ends
+        return np.polyval(self._curve.derivative(order).c[:, piece], after[:, None])
+
+
 def effort_uses(
     problem: PlanningProblem,
     curve: PPoly,
@@ -172,23 +214,17 @@ def effort_uses(
     limits, dynamics = problem.robot.joint_limits, problem.dynamics
     if dynamics is None or limits.effort is None:
         return
-    spans, most = np.diff(curve.x), np.array([bounds(curve, order) for order in range(5)])
+    most = np.array([bounds(curve, order) for order in range(5)])
     bent = dynamics.curvature(most[0], most[1:])
-    parts = np.sqrt((bent / (8.0 * resolution * limits.effort)).max(axis=1)) * spans
-    parts = np.maximum(np.ceil(parts), 1.0)
-    if not parts.sum() <= most_parts:
+    parts = _Parts(curve, bent, resolution * limits.effort)
+    if not parts.total <= most_parts:
         text = (
-            f"efforts are not proven: that takes {parts.sum():.3g} checks, more than {most_parts}"
+            f"efforts are not proven: that takes {parts.total:.3g} checks, more than {most_parts}"
         )
         yield Fault(FaultKind.NOT_PROVEN, text)
         return
-    piece, number = numbered_parts(parts.astype(int) + 1)
-    after = number * (spans / parts)[piece]
-    states = [np.polyval(curve.derivative(k).c[:, piece], after[:, None]) for k in range(3)]
-    largest = (
-        np.abs(dynamics.efforts(*states)) + ((spans / parts) ** 2 / 8.0)[piece, None] * bent[piece]
-    )
-    found = [(FaultKind.EFFORT, "Nm", largest, curve.x[piece] + after)]
+    largest = np.abs(dynamics.efforts(*(parts.at(k) for k in range(3)))) + parts.beyond
+    found = [(FaultKind.EFFORT, "Nm", largest, parts.times)]
     if limits.torque_rate is not None:
         every = np.minimum(np.arange(0.0, curve.x[-1] + 1e-3, 1e-3), curve.x[-1])
         efforts = dynamics.efforts(*(curve(every, order) for order in range(3)))
@@ -221,22 +257,18 @@ def frame_uses(
     if not frames.limits:
         return
     limits = np.array([limit for _, _, limit in frames.limits])
-    spans = np.diff(curve.x)
     bend = frames.bend(np.array([bounds(curve, order) for order in (1, 2, 3)]))
-    parts = np.ceil(spans * np.sqrt((bend / (8.0 * resolution * limits)).max(axis=1))).clip(min=1.0)
-    if not parts.sum() <= most_parts:
-        text = f"speeds of frames are not proven: that takes {parts.sum():.3g} checks, more than "
+    parts = _Parts(curve, bend, resolution * limits)
+    if not parts.total <= most_parts:
+        text = f"speeds of frames are not proven: that takes {parts.total:.3g} checks, more than "
         yield Fault(FaultKind.NOT_PROVEN, f"{text}{most_parts}")
         return
-    piece, number = numbered_parts(parts.astype(int) + 1)
-    after = number * (spans / parts)[piece]
-    q, rates = (np.polyval(curve.derivative(k).c[:, piece], after[:, None]) for k in (0, 1))
-    most = frames.speeds(q, rates) + ((spans / parts) ** 2 / 8.0)[piece, None] * bend[piece]
+    most = frames.speeds(parts.at(0), parts.at(1)) + parts.beyond
     for k, (name, turning, limit) in enumerate(frames.limits):
         at = int(most[:, k].argmax())
         kind = FaultKind.FRAME_TURNING_SPEED if turning else FaultKind.FRAME_SPEED
-        unit, time = "rad/s" if turning else "m/s", float(curve.x[piece[at]] + after[at])
-        yield LimitUse(kind, name, float(most[at, k]), limit, unit, time)
+        unit = "rad/s" if turning else "m/s"
+        yield LimitUse(kind, name, float(most[at, k]), limit, unit, float(parts.times[at]))
 
 
 def rest_faults(
