@@ -9,6 +9,7 @@ from dataclasses import replace
 from functools import partial
 
 from cvqmpt_lab.paper_tables import table_engine as table
+from cvqmpt_lab.paper_tables.layouts import group_table
 from cvqmpt_lab.paper_tables.measures import (
     VALUES,
     Measure,
@@ -167,3 +168,22 @@ def ompl_table(rows: Iterable[ResultRow], published: Sequence[PublishedValue] = 
             metrics={k: {"here": v} for k, v in metrics.items()},
         ),
     )
+
+
+def kinds_table(rows: Iterable[ResultRow], published: Sequence[PublishedValue] = ()) -> SuiteTable:
+    """Return cost, ratios and lengths of planners inside OMPL for each kind of constraint."""
+    names = ("solved", "cost", "cost_ratio", "uniform_ratio", "length_ratio")
+    columns = (
+        COST_COLUMNS["accuracy"],
+        COST_COLUMNS["search_cost_mean"],
+        COST_COLUMNS[f"search_cost_means_over_{CBIRRT}"],
+        COST_COLUMNS[f"search_cost_means_over_{UNIFORM}"],
+        LENGTH_COLUMNS[f"ompl_length_means_over_{CBIRRT}"],
+    )
+    known = dict(zip(names, columns, strict=True))
+    notes = (
+        "Weights were trained without constraints and without these scenes. It is not known "
+        "whether each problem has a solution.",
+        *NOTES,
+    )
+    return group_table(rows, published, what="constraint", notes=notes, columns=names, known=known)

@@ -127,6 +127,20 @@ def _place_suites() -> list[Suite]:
             paper=paper,
         ),
         Suite(
+            name="place-task-seconds",
+            title="Place task in seconds: compiled checks, and the same planners inside OMPL",
+            problems=range(5000, 5400),  # those of `place-task-ompl`
+            make=place_problem,
+            shown_in_hand=can,
+            planners=(
+                *("ompl-projected", "ompl-uniform", "ompl-cvq", "ompl-opt-cvq"),
+                # Algorithm 3 as printed, with uniform samples first
+                *("cvq:uniform+goals-apart", "cvq-mpt", "opt-cvq-mpt"),
+                *("birrt", "birrt-printed", "roadmap", "roadmap-cvq", "cvq-tuned"),
+            ),
+            amounts=(Amount(late=True),),
+        ),
+        Suite(
             name="place-task-single-goal",
             title="Place task, a single goal instead of twenty",
             problems=range(30),
@@ -179,6 +193,14 @@ def _ompl_suites() -> list[Suite]:
         table=Imported("cvqmpt_lab.paper_tables.ompl_table:ompl_table"),
         paper=("place_task.csv", "Place Task"),
     )
+    by_kind = partial(
+        experiment,
+        planners=("ompl-projected", "ompl-uniform", "ompl-cvq", "ompl-opt-cvq"),
+        shown_in_hand=None,
+        amounts=(Amount(cost=100.0, late=True),),
+        table=Imported("cvqmpt_lab.paper_tables.ompl_table:kinds_table"),
+        paper=None,
+    )
     return [
         experiment(
             name="place-task-ompl",
@@ -192,6 +214,27 @@ def _ompl_suites() -> list[Suite]:
             problems=range(5400, 5550),
             make=_problem("place_task:published_problem"),
             amounts=(Amount(cost=100.0, late=True),),
+        ),
+        experiment(
+            name="sensor-ompl",
+            title="Scanned scenes inside OMPL: planned in the map, judged in truth",
+            problems=range(300, 398),  # nobody has looked at them
+            make=_problem("sensor_task:sensor_problem"),
+            shown_in_hand=None,
+            amounts=(Amount(cost=100.0, late=True),),
+            paper=("place_task.csv", "Physical robot"),
+        ),
+        by_kind(
+            name="constraints-ompl",
+            title="Eight kinds of constraints inside OMPL, zero-shot",
+            problems=range(800, 1040),  # nobody has looked at them
+            make=_problem("family_task:constraint_problem"),
+        ),
+        by_kind(
+            name="constraints-more-ompl",
+            title="Six kinds that are no bounds on a hand's pose inside OMPL, zero-shot",
+            problems=range(1080, 1260),  # nobody has looked at them
+            make=_problem("more_constraints:more_constraints_problem", each=30),
         ),
         experiment(
             name="place-task-ompl-tuning",

@@ -1,7 +1,7 @@
 """Constraints that are no bounds on a hand's pose, on three arms, in held-out scenes.
 
-Problem k has kind k // 20 of `MORE_KINDS`. A random free state meets the constraint; start and goal
-are projected states, see `family_task`.
+Problem k has kind k // 20 of `MORE_KINDS`, modulo their number. A random free state meets the
+constraint; start and goal are projected states, see `family_task`.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -81,10 +81,14 @@ MORE_KINDS: Mapping[str, Draw] = {
 
 
 def more_constraints_problem(
-    index: int, arms: Sequence[str] = ("panda",)
+    index: int, arms: Sequence[str] = ("panda",), each: int = 20
 ) -> PlanningProblem | UnsolvableProblem:
-    """Return problem `index` with one of several arms in turn; rows have its index and kind."""
-    place, number = divmod(index, 20)
+    """Return problem `index` with one of several arms in turn; rows have its index and kind.
+
+    each: number of problems of a kind, one after the other.
+    """
+    place, number = divmod(index, each)
+    place %= len(MORE_KINDS)
     kind = tuple(MORE_KINDS)[place]
     name = phase_problem(str(index), place + 1, kind)
     robot, rng = (
