@@ -12,8 +12,10 @@ import numpy as np
 from cvqmpt_lab.benchmarks.families import FAMILIES, family_scene
 from cvqmpt_lab.benchmarks.family_task import blocked_pair, trivial, within_reach
 from cvqmpt_lab.benchmarks.item import UnsolvableProblem
+from cvqmpt_lab.constraints.goals import MAX_GOALS, sample_goals
 from cvqmpt_lab.constraints.named import region
 from cvqmpt_lab.constraints.region_constraint import Member
+from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.problem import PlanningProblem, shared_checker
 from cvqmpt_lab.results.row import phase_problem
 from cvqmpt_lab.robot.body_masses import BodyMasses
@@ -70,6 +72,16 @@ def _balanced(robot: Robot, q: np.ndarray, rng: np.random.Generator, spread: flo
     return region("centre-of-mass", corners=corners)
 
 
+def _with_goals_around(problem: PlanningProblem, far: float) -> PlanningProblem:
+    """Return a problem with up to 20 goals on its manifold, see `more_constraints_problem`."""
+    free = [(-far, far)] * 3 + [(-np.pi, np.pi)] * 3
+    region = TaskSpaceRegion(problem.robot.pose(problem.goals[0]), np.eye(4), np.array(free))
+    wanted = replace(problem, goals=problem.goals[:0], goal_region=region)
+    rng, within = wanted.random_stream(), wanted.constraint
+    found = sample_goals(wanted, rng, MAX_GOALS, within=within, project=True).configurations
+    return problem.changed(goals=found if len(found) else problem.goals)
+
+
 MORE_KINDS: Mapping[str, Draw] = {
     "look-at": _ahead,
     "distance": _from_shoulder,
@@ -81,11 +93,16 @@ MORE_KINDS: Mapping[str, Draw] = {
 
 
 def more_constraints_problem(
-    index: int, arms: Sequence[str] = ("panda",), each: int = 20
+    index: int, arms: Sequence[str] = ("panda",), each: int = 20, around: float = 0.0
 ) -> PlanningProblem | UnsolvableProblem:
     """Return problem `index` with one of several arms in turn; rows have its index and kind.
 
-    each: number of problems of a kind, one after the other.
+    Args:
+        index: number of the problem.
+        arms: names of arms.
+        each: number of problems of a kind, one after the other.
+        around: largest distance along each axis of other goals' hands from that of the first goal
+            [m]; 0: one goal.
     """
     place, number = divmod(index, each)
     place %= len(MORE_KINDS)
@@ -110,6 +127,8 @@ def more_constraints_problem(
         if pair is None:
             continue
         problem = replace(problem, start=pair[0], goals=pair[1][None])
+        if around:
+            problem = _with_goals_around(problem, around)
         if not within_reach(problem):
             continue
         if not trivial(problem):
