@@ -101,8 +101,8 @@ def more_constraints_problem(
         index: number of the problem.
         arms: names of arms.
         each: number of problems of a kind, one after the other.
-        around: largest distance along each axis of other goals' hands from that of the first goal
-            [m]; 0: one goal.
+        around: largest distance of other goals' hands from that of the first goal, along each axis
+            of that hand [m]; 0: one goal.
     """
     place, number = divmod(index, each)
     place %= len(MORE_KINDS)
