@@ -31,10 +31,11 @@ from cvqmpt_lab.cli.options import (
 from cvqmpt_lab.cli.problem_arguments import (
     chosen_problem,
     chosen_robot,
+    end_velocities,
     robot_source,
     with_tool_speed,
 )
-from cvqmpt_lab.cli.problem_options import PROBLEM, ROBOT
+from cvqmpt_lab.cli.problem_options import PROBLEM, ROBOT, velocity_options
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.scene.scene_files import read_scene
@@ -110,24 +111,15 @@ def _by_request(args: argparse.Namespace, motion: Motion) -> tuple[PlanningProbl
 
 def _ends(args: argparse.Namespace, motion: Motion, problem: PlanningProblem) -> Ends:
     """Return the begin and end of a motion that the options state."""
-    names = problem.robot.joint_names
-    given = {"--start-velocity": args.start_velocity, "--end-velocity": args.end_velocity}
-    for said, velocity in given.items():
-        if velocity is not None and motion.times is None:
-            raise InvalidInputError(f"{said} goes with a trajectory; {args.path} has no times")
-        if velocity is not None and len(velocity) != len(names):
-            raise InvalidInputError(
-                f"{said} has {len(velocity)} numbers; give {len(names)}, one each for "
-                f"{', '.join(names)}"
-            )
-    current, begin, end = (
-        None if v is None else np.array(v) for v in (args.current, *given.values())
-    )
+    if motion.times is None:
+        why = f"goes with a trajectory; {args.path} has no times"
+        refuse_given(args, ["start_velocity", "end_velocity"], why)
+    current = None if args.current is None else np.array(args.current)
     if args.part and args.current is None:
         raise InvalidInputError(
             "--part: a part of a motion begins where the arm is: give --current"
         )
-    return Ends(current, args.tolerance, begin, end, args.part)
+    return Ends(current, args.tolerance, *end_velocities(args, problem.robot), args.part)
 
 
 def _certify_task(args: argparse.Namespace) -> int:
@@ -278,16 +270,7 @@ OPTIONS: Options = {
         default=0.01,
         metavar="RAD",
     ),
-    "--start-velocity": option(
-        "velocity of the joints where a trajectory begins, in quotes (at rest) [rad/s or m/s]",
-        type=partial(numbers, "--start-velocity"),
-        metavar="V",
-    ),
-    "--end-velocity": option(
-        "the same where it ends (at rest; any with --part)",
-        type=partial(numbers, "--end-velocity"),
-        metavar="V",
-    ),
+    **velocity_options("a trajectory", "; any with --part"),
     "--part": option(
         "judge a part of a longer motion, such as a chunk of a policy: it begins at --current, not "
         "at the start of the problem, and need not end at a goal",

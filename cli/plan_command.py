@@ -27,6 +27,7 @@ from cvqmpt_lab.cli.problem_options import (
     SCAN,
     bodies_option,
     optimize_option,
+    velocity_options,
 )
 
 # default of --optimize: on the templates of six arms, paths after 1 s are at most 1 % shorter
@@ -112,6 +113,10 @@ OPTIONS: Options = {
         "(that one's)",
         type=positive,
         metavar="S",
+    ),
+    **velocity_options(
+        "the motion of --trajectory",
+        "; with either, the path goes straight on there as far as the arm needs to stop",
     ),
 }
 

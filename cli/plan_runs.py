@@ -24,6 +24,7 @@ from cvqmpt_lab.cli.plan_command import FILM_SUFFIX, OPTIMIZE_S, PAGE_SUFFIX, RE
 from cvqmpt_lab.cli.problem_arguments import (
     budget,
     chosen_problem,
+    end_velocities,
     motion_given,
     name_file,
     optimize_budget,
@@ -41,6 +42,7 @@ from cvqmpt_lab.tasks.task import Task
 
 if TYPE_CHECKING:
     from cvqmpt_lab.tasks.solve import TaskSolution
+    from cvqmpt_lab.trajectory.timing import TimingSettings
     from cvqmpt_lab.trajectory.trajectory import Trajectory
 
 
@@ -52,8 +54,12 @@ def run(args: argparse.Namespace) -> int:
     for name in ("rate", "duration"):
         if (value := getattr(args, name)) is not None and args.trajectory is None:
             raise InvalidInputError(f"--{name} {value:g} goes with --trajectory OUT.csv; give it")
-    if args.duration is not None and isinstance(item, Task):
-        raise InvalidInputError("--duration goes with one motion; give a task its --speed")
+    moving = ("start_velocity", "end_velocity")
+    if args.trajectory is None:
+        refuse_given(args, moving, "goes with --trajectory OUT.csv; give it")
+    if isinstance(item, Task):
+        refuse_given(args, ("duration",), "goes with one motion; give a task its --speed")
+        refuse_given(args, moving, "goes with one motion; those of a task begin and end at rest")
     args.speed = SLOW_SPEED if args.speed is None else args.speed
     if isinstance(item, Task):
         solution, report = _solved_task(args, item)
@@ -97,21 +103,35 @@ def _solved_problem(
         # a wrong file name or speed is refused before anything is planned
         kind_of(writable_file(args.trajectory), TRAJECTORY_WRITERS, "trajectory")
         problem.robot.joint_limits.scaled(args.speed)
+    velocities = end_velocities(args, problem.robot)
     margin = Margin(args.margin, args.margin_angle).check()
     warm_up(problem, method, args.backend)
     if args.verbose:
         logging.basicConfig(format="%(name)s: %(message)s", level=logging.INFO)
-    solution, kept = solve_with_margin(
-        problem,
-        method,
-        budget(args),
-        args.seed,
-        margin,
-        backend=args.backend,
-        optimize=optimize_budget(args, OPTIMIZE_S),
-        near_goals_first=args.suite is None,
-        exact_clearance=args.exact_clearance,
-    )
+    kept = ""
+
+    def solved(problem: PlanningProblem) -> Solution:
+        nonlocal kept
+        solution, kept = solve_with_margin(
+            problem,
+            method,
+            budget(args),
+            args.seed,
+            margin,
+            backend=args.backend,
+            optimize=optimize_budget(args, OPTIMIZE_S),
+            near_goals_first=args.suite is None,
+            exact_clearance=args.exact_clearance,
+        )
+        return solution
+
+    if not any(velocity is not None for velocity in velocities):
+        solution = solved(problem)
+    else:
+        from cvqmpt_lab.planning.moving_ends import solve_on_the_move
+
+        limits = problem.robot.joint_limits.scaled(args.speed)
+        solution = solve_on_the_move(problem, velocities, limits, solved, args.exact_clearance)
     if args.json:
         return solution, solution_data(solution, planner, why, problem) | {"margin": kept}
     return solution, [*solution.report(planner, why), f"margin      {kept}"]
@@ -183,9 +203,14 @@ def _write_trajectory(args: argparse.Namespace, solution: Solution) -> str:
 
     if not solution.solved or solution.path is None:
         return "trajectory  none: only certified paths are timed"
-    timing = TimingSettings(speed=args.speed, duration=args.duration)
+    timing = TimingSettings(
+        speed=args.speed,
+        duration=args.duration,
+        start_velocity=args.start_velocity,
+        end_velocity=args.end_velocity,
+    )
     motion = certified_motion(solution.problem, solution.path, timing)
-    motion = _at_rate(args.rate, solution.problem, motion)
+    motion = _at_rate(args.rate, solution.problem, motion, timing)
     save_trajectory(motion, args.trajectory, solution.problem.robot.joint_limits)
     return (
         f"trajectory  {motion.duration:.2f} s at {args.speed:g} of the joint limits"
@@ -202,6 +227,7 @@ def _write_trajectories(args: argparse.Namespace, solution: "TaskSolution") -> s
     The index lists these files and the gripper's events in the order in which they are executed.
     """
     from cvqmpt_lab.tasks.solve import event_of
+    from cvqmpt_lab.trajectory.timing import TimingSettings
     from cvqmpt_lab.trajectory.trajectory import save_trajectory
 
     if not solution.solved:
@@ -212,7 +238,8 @@ def _write_trajectories(args: argparse.Namespace, solution: "TaskSolution") -> s
         if outcome is not None and outcome.arm_trajectory is not None:
             name = f"{k:02d}-{re.sub('[^A-Za-z0-9_.-]', '-', phase.name)}.json"
             assert outcome.trajectory is not None
-            sampled = _at_rate(args.rate, outcome.solution.problem, outcome.trajectory)
+            of_phase = outcome.solution.problem, outcome.trajectory
+            sampled = _at_rate(args.rate, *of_phase, TimingSettings())
             motion = replace(outcome, trajectory=sampled).arm_trajectory
             assert motion is not None
             limits = outcome.solution.problem.robot.joint_limits
@@ -232,14 +259,23 @@ def _write_trajectories(args: argparse.Namespace, solution: "TaskSolution") -> s
     return f"trajectory  {files} files and {events}, in order in {index}{unlimited}"
 
 
-def _at_rate(rate: float | None, problem: PlanningProblem, motion: "Trajectory") -> "Trajectory":
-    """Return a motion with at least `rate` states a second [Hz], certified; None: as it is."""
+def _at_rate(
+    rate: float | None, problem: PlanningProblem, motion: "Trajectory", timing: "TimingSettings"
+) -> "Trajectory":
+    """Return a motion with more states, certified.
+
+    Args:
+        rate: least number of states a second [Hz]; None: the motion as it is.
+        problem: its problem.
+        motion: the motion.
+        timing: the settings with which it was timed.
+    """
     if rate is None:
         return motion
     from cvqmpt_lab.certificate.motion_check import trajectory_faults
 
     sampled = motion.sampled(1.0 / rate)
-    reasons = trajectory_faults(problem, sampled)
+    reasons = trajectory_faults(problem, sampled, timing)
     if reasons:
         raise InvalidInputError(
             f"--rate {rate:g}: the motion between these states is not certified: "

@@ -206,6 +206,25 @@ def with_tool_speed(args: argparse.Namespace, robot: Robot) -> Robot:
     return with_frame_limits(robot, {**robot.frame_limits, **limits})
 
 
+def end_velocities(
+    args: argparse.Namespace, robot: Robot
+) -> tuple[np.ndarray | None, np.ndarray | None]:
+    """Return the velocities (n,) of --start-velocity and --end-velocity; None: not given."""
+    names = robot.joint_names
+    for said in ("start_velocity", "end_velocity"):
+        velocity = getattr(args, said)
+        if velocity is not None and len(velocity) != len(names):
+            raise InvalidInputError(
+                f"--{said.replace('_', '-')} has {len(velocity)} numbers; give {len(names)}, one "
+                f"each for {', '.join(names)}"
+            )
+    start, end = args.start_velocity, args.end_velocity
+    return (
+        None if start is None else np.array(start),
+        None if end is None else np.array(end),
+    )
+
+
 def budget(args: argparse.Namespace, cost: float | None = None) -> Budget:
     """Return the budget of the options; without any: a cost, or 10 s.
 

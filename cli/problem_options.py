@@ -207,6 +207,20 @@ def bodies_option() -> Options:
     return {"--bodies": option(f"{text} (visual)", choices=("visual", "hulls"))}
 
 
+def velocity_options(of_motion: str, of_end: str = "") -> Options:
+    """Return the options of velocities at the ends of a motion.
+
+    of_motion: which motion, in words; of_end: what else is said of its end.
+    """
+    start = partial(numbers, "--start-velocity")
+    text = f"velocity of the joints where {of_motion} begins, in quotes (at rest) [rad/s or m/s]"
+    end = f"the same where it ends (at rest{of_end})"
+    return {
+        "--start-velocity": option(text, type=start, metavar="V"),
+        "--end-velocity": option(end, type=partial(numbers, "--end-velocity"), metavar="V"),
+    }
+
+
 def pose_region(option: str, text: str) -> "TaskSpaceRegion":
     """Return the region of one end-effector pose."""
     from cvqmpt_lab.base.codec import from_plain

@@ -65,7 +65,7 @@ class DryRun(NamedTuple):
 def certified_motion(
     problem: PlanningProblem, path: JointPath, settings: TimingSettings | None = None
 ) -> Trajectory:
-    """Compute the fastest certified motion along a path.
+    """Compute the fastest certified motion along a path, with the velocities of `settings` at ends.
 
     The quintics between its points are certified, and the cubics. Raises InvalidInputError if the
     path does not move, the robot has no acceleration limits, or no motion is certified.
@@ -78,16 +78,25 @@ def certified_motion(
         raise InvalidInputError("the path does not move: there is nothing to time")
     states[-1] = path.states[-1]
 
-    faults = partial(trajectory_faults, problem)
+    faults = partial(trajectory_faults, problem, settings=settings)
     frames = FrameSpeeds(problem.robot) if problem.robot.frame_limits else None
     limits = problem.robot.joint_limits
     return time_path(states, limits, settings, faults, problem.dynamics, frames)
 
 
-def trajectory_faults(problem: PlanningProblem, motion: Trajectory) -> Sequence[str]:
-    """Return why a trajectory is not certified for a problem; empty: it is."""
+def trajectory_faults(
+    problem: PlanningProblem, motion: Trajectory, settings: TimingSettings | None = None
+) -> Sequence[str]:
+    """Return why a trajectory with these settings is not certified for a problem; empty: it is."""
     states = (motion.positions, motion.times, motion.velocities, motion.accelerations)
-    return dry_run(problem, Motion(motion.joint_names, *states)).certificate.reasons
+    ends = Ends()
+    if settings is not None:
+        start, end = (
+            None if velocity is None else np.array(velocity)
+            for velocity in (settings.start_velocity, settings.end_velocity)
+        )
+        ends = Ends(start_velocity=start, end_velocity=end)
+    return dry_run(problem, Motion(motion.joint_names, *states), ends).certificate.reasons
 
 
 def with_limits_of(problem: PlanningProblem, motion: Motion) -> PlanningProblem:

@@ -17,6 +17,7 @@ keep the limits of velocity, acceleration and effort, which are rows of A b <= 1
 
 import warnings
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse as sparse
@@ -37,6 +38,13 @@ class SmoothCurve:
     grid: np.ndarray  # (g,) values of s where speeds are computed: knots, points between [rad]
     deviation: float  # largest measured distance between q(s) and the polyline at s [rad]
     marks: np.ndarray  # (m,) values of s at the waypoints; the last is the polyline's length [rad]
+
+
+class HeldSpeed(NamedTuple):
+    """The speed along a curve at one of its ends, from there on for a distance."""
+
+    speed: float = 0.0  # ds/dt [rad/s]
+    distance: float = 0.0  # of s [rad]
 
 
 def smooth_curve(
@@ -131,6 +139,7 @@ def squared_speeds(
     limits: JointLimits,
     dynamics: Dynamics | None = None,
     frames: FrameSpeeds | None = None,
+    ends: tuple[HeldSpeed, HeldSpeed] = (HeldSpeed(), HeldSpeed()),
     flat: float = 1e-3,
     standstill: float = 1e-8,
 ) -> np.ndarray:
@@ -141,14 +150,16 @@ def squared_speeds(
         limits: |dq/ds| sqrt(b) <= velocity, |d2q/ds2 b + dq/ds (db/ds) / 2| <= acceleration.
         dynamics: |M (d2q/ds2 b + dq/ds (db/ds) / 2) + C(q, dq/ds) dq/ds b + g| <= effort, or None.
         frames: limits of the speeds of frames, |J dq/ds| sqrt(b) <= speed; or None.
+        ends: speeds at the begin and at the end.
         flat: lower bound of |dq/ds| / velocity as a share of its median; it is 0 where all joints
             reverse at once.
         standstill: b, as a share of its typical value, below which the motion stands still.
 
     Returns:
-        b (g,) [rad^2/s^2] on the grid, 0 at both ends.
+        b (g,) [rad^2/s^2] on the grid.
 
-    Raises InvalidInputError that names the joint whose limit stops the motion.
+    Raises InvalidInputError that names the joint whose limit stops the motion, or the share of the
+    speeds at the ends that is possible.
     """
     grid = curve.grid
     slope = np.abs(curve.spline(grid, 1))
@@ -167,10 +178,33 @@ def squared_speeds(
         rows.append(_effort_rows(curve, limits, dynamics, bound))
     rows = scale * sparse.vstack(rows, format="csr")
     bound = bound / scale
-    bound[[0, -1]] = 0.0
-    greatest = _greatest(rows, bound)
+    begin, end = ends
+    held = np.zeros(len(grid))
+    held[grid <= begin.distance] = begin.speed**2 / scale
+    held[grid >= grid[-1] - end.distance] = end.speed**2 / scale
+    fixed = held > 0.0
+    fixed[[0, -1]] = True
+
+    def with_ends(share: float) -> np.ndarray | None:
+        """Return b with this share of the speeds at the ends; None if there is no such b."""
+        least = share**2 * held
+        most = np.where(fixed, least, bound)
+        return _greatest(rows, most, least) if (least <= bound).all() else None
+
+    greatest = with_ends(1.0)
+    if greatest is None and held.any():
+        low, high = 0.0, 1.0
+        for _ in range(7):
+            middle = 0.5 * (low + high)
+            low, high = (low, middle) if with_ends(middle) is None else (middle, high)
+        if low > 0.0:
+            raise InvalidInputError(
+                "the path cannot be timed with these velocities at its ends, but with about "
+                f"{low:.2f} of them: give lower ones, or a higher speed factor on the limits"
+            )
     if greatest is None:
         raise InvalidInputError(_why_not(curve, limits, bound))
+    bound[fixed] = held[fixed]
     greatest = np.minimum(greatest, bound)
     if greatest[1:-1].min() <= standstill:
         raise InvalidInputError(_why_not(curve, limits, greatest))
@@ -301,16 +335,16 @@ def _binding(lower: np.ndarray, upper: np.ndarray, bound: np.ndarray) -> np.ndar
 
 
 def _greatest(
-    rows: sparse.csr_matrix, bound: np.ndarray, tolerance: float = 1e-10
+    rows: sparse.csr_matrix, bound: np.ndarray, least: np.ndarray, tolerance: float = 1e-10
 ) -> np.ndarray | None:
-    """Solve max sum_i b_i subject to rows b <= 1, 0 <= b <= bound; None if there is no solution.
+    """Solve max sum_i b_i with rows b <= 1, least <= b <= bound; None if there is no solution.
 
     The program is made anew for every motion: the size of `rows` differs from motion to motion. A
     program with parameters, padded to a few sizes, takes 2 s to make and then saves 0 to 12 ms.
     """
     import cvxpy as cp  # takes half a second, not needed by planning without timing
 
-    b = cp.Variable(len(bound), bounds=[0.0, bound])
+    b = cp.Variable(len(bound), bounds=[least, bound])
     problem = cp.Problem(cp.Maximize(cp.sum(b)), [rows @ b <= 1.0])
     options = {"primal_feasibility_tolerance": tolerance, "dual_feasibility_tolerance": tolerance}
     try:

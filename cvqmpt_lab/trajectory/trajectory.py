@@ -57,7 +57,7 @@ class JointState(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """Joint states at k times; the velocities at both ends are 0."""
+    """Joint states at k times."""
 
     joint_names: tuple[str, ...]  # n names
     times: np.ndarray  # (k,) from 0, increasing [s]

@@ -15,12 +15,13 @@ from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.benchmarks.place_task import place_problem
 from cvqmpt_lab.certificate.certificate import FaultKind
 from cvqmpt_lab.certificate.motion_check import certified_motion, dry_run
+from cvqmpt_lab.planning.moving_ends import solve_on_the_move
 from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.robot.dynamics import Dynamics, without_effort_limit
 from cvqmpt_lab.robot.load import load_robot, panda, robot_from_source
 from cvqmpt_lab.robot.robot import JointLimits
 from cvqmpt_lab.scene.coal_shapes import loads_of
-from cvqmpt_lab.scene.scene import Attachment
+from cvqmpt_lab.scene.scene import Attachment, Scene
 from cvqmpt_lab.scene.shapes import Box, Cylinder, PointCloud
 from cvqmpt_lab.search.result import Budget, JointPath
 from cvqmpt_lab.trajectory.timing import TimingSettings, time_path
@@ -113,6 +114,48 @@ def test_the_motion_keeps_all_limits_everywhere(paths, limits):
         assert free.duration <= motion.duration <= 1.03 * free.duration
         at_1_khz = motion.at(np.arange(0.0, motion.duration, 1e-3)).accelerations
         assert (np.abs(np.diff(at_1_khz, axis=0)) / 1e-3 <= (1.0 + 1e-4) * limits.jerk).all()
+
+
+def test_a_motion_has_the_given_velocities_at_its_ends(solutions, limits, motion):
+    """It is certified with them, as short as it can be or of a given duration."""
+    problem, path = solutions[0].problem, solutions[0].path
+    steps = np.diff(path.states, axis=0)[[0, -1]]
+    ways = steps / np.linalg.norm(steps, axis=1)[:, None]
+    given = np.array([[0.3], [0.2]]) * ways
+    settings = TimingSettings(1.0, start_velocity=given[0], end_velocity=given[1])
+    quick = certified_motion(problem, path, settings)
+    lasting = replace(settings, duration=1.2 * motion.duration)
+    slow = time_path(path.states, limits, lasting)
+    assert quick.duration < motion.duration
+    assert slow.duration == pytest.approx(lasting.duration, abs=1e-6)
+    for made in (quick, slow):
+        np.testing.assert_allclose(made.velocities[[0, -1]], given, atol=1e-6)
+        np.testing.assert_allclose(made.positions[[0, -1]], path.states[[0, -1]], atol=1e-9)
+    for off, words in (
+        (given[0] + 0.1 * np.eye(7)[5], r"the start velocity is \S+ degrees off the direction"),
+        (-given[0], r"the start velocity is 1\.8e\+02 degrees off .*: let the arm stop first"),
+        (50.0 * ways[0], r"but with about 0\.\d+ of them"),
+        (np.ones(3), "start velocity has 3 values: give 7 finite numbers"),
+    ):
+        refused(words, time_path, path.states, limits, replace(settings, start_velocity=off))
+
+
+def test_a_path_goes_straight_on_where_the_arm_moves(problem):
+    """It is certified from the given start to a goal that is reached on the move."""
+    start, end = 0.2 * np.eye(7)[0], np.array([0.1, 0.2, 0.0, 0.0, 0.0, 0.0, 0.2])
+    goals = problem.start + 0.1 * np.ones((1, 7))
+    free = problem.changed(
+        scene=Scene("none", ()), constraint=(), goal_region=None, goals=goals, attachments=()
+    )
+
+    def planned(between):
+        return solve(between, "birrt", Budget(iterations=20_000), seed=0)
+
+    found = solve_on_the_move(free, (start, end), problem.robot.joint_limits, planned)
+    settings = TimingSettings(1.0, start_velocity=start, end_velocity=end)
+    motion = certified_motion(free, found.path, settings)
+    np.testing.assert_allclose(motion.velocities[[0, -1]], [start, end], atol=1e-6)
+    np.testing.assert_allclose(motion.positions[[0, -1]], [free.start, goals[0]], atol=1e-9)
 
 
 def test_jerk_limits_shape_the_motion_and_are_judged(solutions, tmp_path):
