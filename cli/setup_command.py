@@ -7,6 +7,7 @@ import platform
 import textwrap
 from collections.abc import Iterator, Sequence
 from importlib import metadata
+from pathlib import Path
 from typing import NamedTuple
 
 from packaging.requirements import Requirement
@@ -16,14 +17,17 @@ from cvqmpt_lab.base.files import write_text
 from cvqmpt_lab.cli.main import THREADS
 from cvqmpt_lab.cli.options import (
     Options,
+    ProgressBar,
     compiling,
     one_of,
     option,
+    own_command,
     positive_int,
+    refuse_given,
     writable_file,
 )
 
-BENCHES = ("stages", "sizes", "paper-check")
+BENCHES = ("stages", "sizes", "paper-check", "paper-seconds")
 
 
 class Finding(NamedTuple):
@@ -127,15 +131,23 @@ def warmup(args: argparse.Namespace) -> None:
 def bench(args: argparse.Namespace) -> None:
     """Measure and print a table."""
     from cvqmpt_lab.experiments.paper_check import paper_check
+    from cvqmpt_lab.experiments.paper_seconds import paper_seconds, ratios, write_paper_seconds
     from cvqmpt_lab.experiments.size_times import size_times
     from cvqmpt_lab.experiments.stage_times import stage_times, tuning_problems
     from cvqmpt_lab.planning.warm_up import compile_kernels
 
+    if args.bench != "paper-seconds":
+        refuse_given(args, ("out",), "goes with bench paper-seconds")
     compile_kernels(compiling())
     if args.bench == "stages":
         figures = stage_times(args.problems)
     elif args.bench == "sizes":
         figures = size_times(args.problems)
+    elif args.bench == "paper-seconds":
+        runs = paper_seconds(tuning_problems(args.problems), ProgressBar("paper-seconds"))
+        figures = ratios(runs)
+        if args.out:
+            write_paper_seconds(args.out, runs, own_command())
     else:
         figures = paper_check(tuning_problems(1)[0])
     width = max(len(figure.name) for figure in figures)
@@ -149,8 +161,14 @@ def bench(args: argparse.Namespace) -> None:
 OPTIONS: Options = {
     "bench": option(", ".join(BENCHES), type=one_of("bench", BENCHES)),
     "--problems": option(
-        "number of problems for stages and sizes (20)", type=positive_int, default=20, metavar="N"
+        "number of problems for stages, sizes and paper-seconds (20)",
+        type=positive_int,
+        default=20,
+        metavar="N",
     ),
     "--json": option("write the figures as json too", type=writable_file, metavar="F"),
+    "--out": option(
+        "for paper-seconds: folder for runs, ratios and provenance", type=Path, metavar="DIR"
+    ),
 }
 COMMANDS = {"doctor": (doctor, {}), "warmup": (warmup, {}), "bench": (bench, OPTIONS)}

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from itertools import combinations_with_replacement
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -20,68 +20,110 @@ Placement = tuple[list[float], list[float]]  # position [m] and quaternion (x, y
 MOST_DISTANCE = 10.0  # [m] no pair is farther apart, so getClosestPoints measures every pair
 
 
-def paper_check(problem: PlanningProblem) -> list[Measured]:
-    """Processor times [ms] of the paper's state check, and of its distances between links alone.
+class Simulator:
+    """A robot among the obstacles of a problem, in PyBullet; a context that ends the simulator.
 
-    The state check measures all distances between links, and from links to obstacles. A link is
-    the convex hull of its meshes, an obstacle a box or cylinder. The time includes placing the
-    links, but no forward kinematics.
+    A link is the convex hull of its meshes, an obstacle a box or cylinder.
 
     InvalidInputError: the extra `pybullet` is not installed.
     """
-    require_installed("pybullet", "bench paper-check", "pybullet")
-    import pybullet as bullet
 
-    client, clock = bullet.connect(bullet.DIRECT), CpuClock()
-    try:
+    def __init__(self, problem: PlanningProblem) -> None:
+        require_installed("pybullet", "bench paper-check", "pybullet")
+        import pybullet as bullet
+
+        self.bullet: Any = bullet
+        self._client = bullet.connect(bullet.DIRECT)
         links = _links(problem.robot)
-        hulls = [
-            bullet.createCollisionShape(bullet.GEOM_MESH, vertices=vertices.tolist())
+        self.rows = [row for row, _ in links.values()]  # pose row of each link
+        self.bodies = [
+            bullet.createMultiBody(
+                0.0, bullet.createCollisionShape(bullet.GEOM_MESH, vertices=vertices.tolist())
+            )
             for _, vertices in links.values()
         ]
-        bodies = [bullet.createMultiBody(0.0, hull) for hull in hulls]
-        kitchen, count = _obstacles(bullet, problem.scene.obstacles), len(problem.scene.obstacles)
+        self._kitchen = _obstacles(bullet, problem.scene.obstacles)
         # with the pair of each body and itself
-        pairs = list(combinations_with_replacement(bodies, 2))
+        self.pairs = list(combinations_with_replacement(range(len(links)), 2))
+        names, of_piece = list(links), [_link_name(piece.name) for piece in problem.robot.links]
+        checked = problem.robot.self_collision_pairs
+        self._counted = {
+            tuple(sorted(names.index(of_piece[piece]) for piece in pair)) for pair in checked
+        }
 
-        def measure_links() -> None:
-            for first, second in pairs:
-                bullet.getClosestPoints(first, second, MOST_DISTANCE)
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.bullet.disconnect(self._client)
+
+    def place(self, placed: Sequence[Placement]) -> None:
+        """Move the links to their placements."""
+        for body, placement in zip(self.bodies, placed, strict=True):
+            self.bullet.resetBasePositionAndOrientation(body, *placement)
+
+    def links_apart(self) -> bool:
+        """Measure all distances between links; return whether no checked pair touches."""
+        apart = True
+        for first, second in self.pairs:
+            found = self._distances(self.bodies[first], self.bodies[second])
+            apart &= (first, second) not in self._counted or min(found) > 0.0
+        return apart
+
+    def clear_of_obstacles(self) -> bool:
+        """Measure all distances from links to obstacles; return whether no moving link touches."""
+        found = [min(self._distances(body, self._kitchen)) for body in self.bodies]
+        return all(x > 0.0 for x, row in zip(found, self.rows, strict=True) if row)
+
+    def _distances(self, first: int, second: int) -> list[float]:
+        """Return the distances [m] of the parts of two bodies; the ninth entry of each point."""
+        return [point[8] for point in self.bullet.getClosestPoints(first, second, MOST_DISTANCE)]
+
+
+def paper_check(problem: PlanningProblem) -> list[Measured]:
+    """Processor times [ms] of the paper's state check, and of its distances between links alone.
+
+    The state check measures all distances between links, and from links to obstacles. The time
+    includes placing the links, but no forward kinematics.
+
+    InvalidInputError: the extra `pybullet` is not installed.
+    """
+    clock = CpuClock()
+    with Simulator(problem) as simulator:
+        count, obstacles = len(simulator.bodies), len(problem.scene.obstacles)
 
         def check(placed: Sequence[Placement]) -> None:
-            for body, placement in zip(bodies, placed, strict=True):
-                bullet.resetBasePositionAndOrientation(body, *placement)
-            clock(f"PyBullet: {len(pairs)} distances between {len(bodies)} links", measure_links)
-            for body in bodies:
-                bullet.getClosestPoints(body, kitchen, MOST_DISTANCE)
+            simulator.place(placed)
+            between = f"PyBullet: {len(simulator.pairs)} distances between {count} links"
+            clock(between, simulator.links_apart)
+            simulator.clear_of_obstacles()
 
         for q in problem.robot.random_configurations(np.random.default_rng(0), STATES):
             rotation, translation = link_poses(problem.robot.kinematics, q[None])
-            placed = [
-                _placement(rotation[0, row], translation[0, row]) for row, _ in links.values()
-            ]
+            placed = [placement_of(rotation[0, row], translation[0, row]) for row in simulator.rows]
             clock(
-                f"PyBullet: a state check, these and {len(bodies) * count} to the kitchen",
+                f"PyBullet: a state check, these and {count * obstacles} to the kitchen",
                 check,
                 placed,
             )
-        return clock.measured()
-    finally:
-        bullet.disconnect(client)
+    return clock.measured()
 
 
 def _links(robot: Robot) -> dict[str, tuple[int, np.ndarray]]:
     """Pose row and corners (n, 3) [m, link frame] of each link with collision geometry, by name."""
     found: dict[str, tuple[int, list[np.ndarray]]] = {}
-    # pieces are named after their link: LINK_0, LINK_1, ...
     for piece in robot.links:
-        found.setdefault(piece.name.rpartition("_")[0], (piece.link, []))[1].append(
-            piece.vertices_in_link
-        )
+        found.setdefault(_link_name(piece.name), (piece.link, []))[1].append(piece.vertices_in_link)
     return {name: (row, np.concatenate(corners)) for name, (row, corners) in found.items()}
 
 
-def _placement(rotation: np.ndarray, translation: np.ndarray) -> Placement:
+def _link_name(piece: str) -> str:
+    """Return the link of a piece; pieces are named after their link: LINK_0, LINK_1, ..."""
+    return piece.rpartition("_")[0]
+
+
+def placement_of(rotation: np.ndarray, translation: np.ndarray) -> Placement:
+    """Return a placement of a rotation (3, 3) and a translation (3,) [m]."""
     return translation.tolist(), Rotation.from_matrix(rotation).as_quat().tolist()
 
 
@@ -97,7 +139,7 @@ def _obstacles(bullet: Any, obstacles: tuple[SceneObject, ...]) -> int:
             size = {"radius": item.shape.radius, "height": item.shape.height}
             shapes.append(bullet.createCollisionShape(bullet.GEOM_CYLINDER, **size))
         T = item.T_world_object
-        poses.append(_placement(T[:3, :3], T[:3, 3]))
+        poses.append(placement_of(T[:3, :3], T[:3, 3]))
     count, origin = len(shapes), [0.0, 0.0, 0.0]
     return bullet.createMultiBody(
         0.0,
