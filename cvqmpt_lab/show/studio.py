@@ -8,6 +8,7 @@ import re
 import socket
 import threading
 import time
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -74,7 +75,7 @@ class StudioPage:
         self._layers: dict[str, Any] = {}  # checkboxes by name of a layer
         self._gizmos: dict[str, Any] = {}  # by "start", "goal" and "obstacle"
         self._joints: list[Any] = []  # sliders of the start
-        self._joint_moved = 0.0  # time of the last change of a slider [s]
+        self._changed = "", 0.0  # what was changed last, and when [s]
         gui, problem = server.gui, live.problem
         # no share button and no answer to its request, which would open a public address
         server.request_share_url = lambda verbose=True: None
@@ -94,8 +95,8 @@ class StudioPage:
         gui.add_markdown("Click the goal, the start or an obstacle, and drag its handles.")
         self._chosen = choice("move", ("goal", "start", *live.groups))
         self._chosen.on_update(lambda event: self._mark_chosen())
-        switch(gui.add_button("undo")).on_click(lambda event: live.undo())
-        switch(gui.add_button("reset")).on_click(lambda event: live.reset())
+        switch(gui.add_button("undo")).on_click(lambda event: self._go_back(live.undo))
+        switch(gui.add_button("reset")).on_click(lambda event: self._go_back(live.reset))
 
         def slider(label: str, least: float, most: float, step: float, value: float) -> Any:
             element = gui.add_slider(label, least, most, step, value)
@@ -104,15 +105,17 @@ class StudioPage:
 
         self._slider = slider("along the path", 0.0, 1.0, 0.01, 0.0)
         self._slider.on_update(lambda event: self._pose_robot())
-        # of the joint limits, for play and for a saved trajectory
-        self._speed = slider("speed", 0.05, 1.0, 0.05, SLOW_SPEED)
+        speed = slider("speed", 0.05, 1.0, 0.05, SLOW_SPEED)
         switch(gui.add_button("play")).on_click(self._play)
-        planner = choice("planner", live.planners)
-        planner.on_update(lambda event: live.set_planner(event.target.value))
-        constraint = choice("constraint", tuple(live.constraints))
-        constraint.on_update(lambda event: live.set_constraint(event.target.value))
-        clearance = slider("clearance [mm]", 0.0, 100.0, 1.0, 1e3 * live.request.clearance)
-        clearance.on_update(lambda event: live.submit(clearance=1e-3 * event.target.value))
+        # elements by the field of a request that they change
+        self._controls = {
+            "speed": speed,
+            "planner": choice("planner", live.planners),
+            "constraint": choice("constraint", tuple(live.constraints)),
+            "clearance": slider("clearance [mm]", 0.0, 100.0, 1.0, 1e3 * live.request.clearance),
+        }
+        for name, element in self._controls.items():
+            element.on_update(partial(self._change, name))
         with gui.add_folder("joints of the start [rad or m]", expand_by_default=False):
             # limits are rounded inwards, because the page rounds to steps
             limits = np.ceil(1e3 * problem.robot.lower), np.floor(1e3 * problem.robot.upper)
@@ -125,9 +128,9 @@ class StudioPage:
         with gui.add_folder("layers", expand_by_default=False):
             self._legend = gui.add_html("")
             for name in ("start", "goals", "path", "constraint", "search", "cloud", "Gaussians"):
-                slow = name in ("search", "cloud", "Gaussians")
-                self._layers[name] = switch(gui.add_checkbox(name, not slow))
-                self._layers[name].on_update(lambda event: self._show(live.response))
+                box = switch(gui.add_checkbox(name, name in live.request.layers))
+                box.on_update(partial(self._change, "layers"))
+                self._layers[name] = box
         with gui.add_folder("save", expand_by_default=False):
             for kind in ("problem", "page", "picture", "trajectory"):
                 switch(gui.add_button(f"save {kind}")).on_click(partial(self._save, kind))
@@ -175,7 +178,7 @@ class StudioPage:
     def _save(self, kind: str, event: Any) -> None:
         """Send a file to the tab whose button was pressed."""
         try:
-            name, content = self.live.saved(kind, self._speed.value)
+            name, content = self.live.saved(kind)
             event.client.send_file_download(name, content, save_immediately=True)
             said = f"{name} is in the folder of this browser's downloads"
             event.client.add_notification(f"{kind} saved", said, color="green")
@@ -186,7 +189,7 @@ class StudioPage:
         """Move the slider along the path."""
         for k in range(101):
             self._slider.value = 0.01 * k
-            time.sleep(0.004 / self._speed.value)  # 4 s at 0.1 of the joint limits
+            time.sleep(0.004 / self.live.request.speed)  # 4 s at 0.1 of the joint limits
 
     async def _drag(self, name: str, event: Any) -> None:
         """Submit the pose of a gizmo; viser calls coroutines in order, functions perhaps not."""
@@ -209,10 +212,38 @@ class StudioPage:
     async def _move_joint(self, index: int, event: Any) -> None:
         """Submit a joint of the start that the user moved, not the page itself."""
         if event.client is not None:
-            if time.monotonic() - self._joint_moved > 1.0:  # a new movement of the mouse
-                self.live.remember()
-            self._joint_moved = time.monotonic()
+            self._remember(self.live.problem.robot.joint_names[index])
             self.live.move_joint(index, event.target.value)
+
+    async def _change(self, name: str, event: Any) -> None:
+        """Submit a field of the request if the user changed it, not the page itself."""
+        if event.client is None:
+            return
+        value = event.target.value
+        if name == "layers":
+            value = frozenset(layer for layer, box in self._layers.items() if box.value)
+        elif name == "clearance":
+            value = 1e-3 * value
+        self._remember(name)
+        self.live.submit(**{name: value})
+
+    def _remember(self, name: str) -> None:
+        """Keep the request for `undo`, once for a movement of the mouse at what has this name."""
+        now = time.monotonic()
+        if self._changed[0] != name or now - self._changed[1] > 1.0:
+            self.live.remember()
+        self._changed = name, now
+
+    def _go_back(self, back: Callable[[], int]) -> None:
+        """Undo or reset, and show the request's values on the panel."""
+        back()
+        request = self.live.request
+        for name, element in self._controls.items():
+            value = getattr(request, name)
+            element.value = 1e3 * value if name == "clearance" else value
+        for name, box in self._layers.items():
+            box.value = name in request.layers
+        self._changed = "", 0.0
 
     async def _pick(self, name: str, event: Any) -> None:
         """Choose what was clicked."""
@@ -238,7 +269,7 @@ class StudioPage:
         _place(gizmo, self.live.request.moved.get(items[0].name, T))
 
     def _show(self, response: Response) -> None:
-        """Draw a response; called in the planning thread, and where a layer is switched."""
+        """Draw a response; called in the planning thread."""
         with self._drawing:
             self._draw(response)
 
@@ -256,7 +287,7 @@ class StudioPage:
             # where the sliders are, although no path begins there
             problem = problem.changed(start=request.posture)
         drawing = drawing_of_problem(problem, response.path, ghosts=0)
-        shown = {name for name, box in self._layers.items() if box.value}
+        shown = request.layers
         named = {_node_of(body): body for body in drawing.bodies(*shown)}
         states = np.array([problem.start, *problem.goals])
         if response.path is not None:

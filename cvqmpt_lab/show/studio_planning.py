@@ -54,6 +54,13 @@ class Request:
     goal: np.ndarray | None = None  # pose of the hand (4, 4) [m]; None: the problem's goals
     moved: Mapping[str, np.ndarray] = field(default_factory=dict)  # T_world_object by name
     clearance: float = Margin().metres  # to obstacles [m]; less where start or goals have less
+    speed: float = SLOW_SPEED  # of the joint limits, for play and for a saved trajectory
+    layers: frozenset[str] = frozenset(("start", "goals", "path", "constraint"))  # that are drawn
+
+    def plans_like(self, other: "Request") -> bool:
+        """Return whether only speed and layers differ, so that nothing is planned again."""
+        fields = "planner", "constraint", "start", "goal", "moved", "clearance"
+        return all(getattr(self, name) is getattr(other, name) for name in fields)
 
     @property
     def posture(self) -> np.ndarray | None:
@@ -111,7 +118,7 @@ class Studio:
         for item in problem.scene:
             self.groups.setdefault(item.name.partition("/")[0], []).append(item)
         self._past: list[Request] = []  # what `undo` goes back to, the last one first
-        self.request = Request(0, planner)  # the newest one
+        self.request = self._first = Request(0, planner)  # the newest and the first one
         self.response = Response(Request(-1, planner), problem)  # the newest one
         self._changed, self._stopped = threading.Condition(), False
         self._worker = threading.Thread(target=self._work, daemon=True, name="studio")
@@ -151,18 +158,21 @@ class Studio:
             return self.submit(moved={**self.request.moved, **moved})
 
     def remember(self) -> None:
-        """Keep the present poses of start, goal and obstacles for `undo`."""
+        """Keep the present request for `undo`."""
         self._past.append(self.request)
 
     def undo(self) -> int:
-        """Go back to the poses that were remembered last; returns the number of the request."""
-        last = self._past.pop() if self._past else self.request
-        return self.submit(start=last.start, goal=last.goal, moved=last.moved)
+        """Go back to the request that was remembered last; returns the number of the new one."""
+        return self._again(self._past.pop() if self._past else self.request)
 
     def reset(self) -> int:
-        """Go back to the problem's poses, which `undo` reverts; returns the request's number."""
+        """Go back to the first request, which `undo` reverts; returns the number of the new one."""
         self.remember()
-        return self.submit(start=None, goal=None, moved={})
+        return self._again(self._first)
+
+    def _again(self, request: Request) -> int:
+        """Submit an earlier request under a new number, and return that."""
+        return self.submit(**vars(request))
 
     def set_planner(self, name: str) -> int:
         """Change to another one of `planners`; returns the number of the request."""
@@ -177,7 +187,8 @@ class Studio:
     def submit(self, **changes: Any) -> int:
         """Submit the newest request again with some fields changed; returns its number."""
         with self._changed:
-            self.request = replace(self.request, number=self.request.number + 1, **changes)
+            number = self.request.number + 1
+            self.request = replace(self.request, **{**changes, "number": number})
             self._changed.notify_all()
             return self.request.number
 
@@ -222,10 +233,13 @@ class Studio:
 
     def _planned(self, request: Request) -> Response:
         """Plan a request and return the response; it has the last path if none was found."""
+        last = self.response
+        if last.request.number >= 0 and request.plans_like(last.request):
+            return replace(last, request=request)
         method = planner_named(request.planner)
         began = time.perf_counter()
         try:
-            if request.planner != self.response.planner:
+            if request.planner != last.planner:
                 warm_up(self.problem, method, "compiled")
                 began = time.perf_counter()
             problem = self._problem_of(request)
@@ -242,7 +256,7 @@ class Studio:
             message = str(error) or repr(error)
             if not isinstance(error, CvqmptError):  # a defect here or in an external planner
                 logging.getLogger("cvqmpt").exception("request %d failed", request.number)
-        last, seconds = self.response, time.perf_counter() - began
+        seconds = time.perf_counter() - began
         return replace(last, request=request, verdict="no path", seconds=seconds, message=message)
 
     def _problem_of(self, request: Request) -> PlanningProblem:
@@ -270,13 +284,8 @@ class Studio:
             problem = problem.changed(goals=goals, goal_region=None)
         return problem
 
-    def saved(self, kind: str, speed: float = SLOW_SPEED) -> tuple[str, bytes]:
-        """Name and content of a file.
-
-        Args:
-            kind: "problem", "page", "picture" or "trajectory" of the last certified path.
-            speed: fraction of the joint limits that a trajectory uses.
-        """
+    def saved(self, kind: str) -> tuple[str, bytes]:
+        """Name and content of a file: "problem", "page", "picture" or "trajectory" of the path."""
         response, path = self.response, self.response.path
         if path is None:
             raise InvalidInputError(f"nothing to save: {response.message or response.verdict}")
@@ -293,10 +302,9 @@ class Studio:
             case "trajectory":
                 from cvqmpt_lab.trajectory.timing import TimingSettings  # half a second to import
 
-                motion = certified_motion(response.problem, path, TimingSettings(speed))
-                return "motion.json", as_ros_json(
-                    motion, response.problem.robot.joint_limits
-                ).encode()
+                timing, limits = TimingSettings(self.request.speed), self.problem.robot.joint_limits
+                motion = certified_motion(response.problem, path, timing)
+                return "motion.json", as_ros_json(motion, limits).encode()
         raise UnknownChoiceError("file", kind, ("problem", "page", "picture", "trajectory"))
 
 

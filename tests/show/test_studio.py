@@ -7,6 +7,7 @@ import math
 import signal
 import time
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -159,7 +160,8 @@ def test_files_hold_the_path_that_is_shown(fresh, tmp_path):
     assert (tmp_path / "plan.png").read_bytes().startswith(b"\x89PNG")
     motion = read_motion(tmp_path / "motion.json")
     assert motion.positions[[0, -1]] == pytest.approx(response.path.states[[0, -1]])
-    (tmp_path / "fast.json").write_bytes(fresh.saved("trajectory", speed=1.0)[1])
+    fresh.submit(speed=1.0)
+    (tmp_path / "fast.json").write_bytes(fresh.saved("trajectory")[1])
     assert read_motion(tmp_path / "fast.json").times[-1] < 0.5 * motion.times[-1]
     refused("unknown file 'film'; valid choices: problem", fresh.saved, "film")
 
@@ -307,20 +309,17 @@ def shown(page):
 
 
 def test_the_page_shows_layers_and_plays_along_the_path(page):
-    for box in page._layers.values():
-        box.value = True
     page.live.set_planner("birrt")
+    page.live.submit(layers=frozenset(page._layers))
     shown(page)
     assert {node.name.split("/")[1] for node in page._points} == {"search"}
     layers = {name.split("/")[1] for name in page._nodes}
     assert {"scene", "robot", "start", "goals", "path", "constraint"} <= layers
     assert all(f"</span> {name} " in page._legend.content for name in ("start", "path", "search"))
-    number = page.live.request.number
-    page._layers["start"].value = False
-    deadline = time.monotonic() + 30.0
-    while any(name.startswith("/start/") for name in page._nodes) and time.monotonic() < deadline:
-        time.sleep(0.01)
-    assert page.live.request.number == number, "a layer is switched without planning"
+    solution = page.live.response.solution
+    page.live.submit(layers=page.live.request.layers - {"start"})
+    shown(page)
+    assert page.live.response.solution is solution, "a layer is switched without planning"
     assert not any(name.startswith("/start/") for name in page._nodes)
     page._slider.value = 1.0
     node, poses = page._moving[-1]
@@ -351,6 +350,29 @@ def test_a_click_chooses_what_handles_move_and_undo_reverts_it(page):
         assert moved[it.name] == pytest.approx(lifted(it.T_world_object, 0.3))
     page.live.wait(page.live.undo())
     assert page.live.request.moved == {}
+
+
+def test_undo_and_reset_cover_every_control(page):
+    live, controls, box = page.live, page._controls, page._layers["search"]
+    live.reset()
+    first = vars(live.request)
+    changes = {"planner": "birrt", "constraint": "none", "clearance": 5.0, "speed": 0.5}
+    for name, value in changes.items():
+        event = SimpleNamespace(client="a tab", target=SimpleNamespace(value=value))
+        asyncio.run(page._change(name, event))
+    box.value = True
+    asyncio.run(page._change("layers", SimpleNamespace(client="a tab", target=box)))
+    assert live.request.clearance == 0.005 and live.request.speed == 0.5
+    assert "search" in live.request.layers and live.request.planner == "birrt"
+    page._go_back(live.undo)
+    assert not box.value and live.request.speed == 0.5
+    for _ in changes:
+        page._go_back(live.undo)
+    assert vars(live.request) == {**first, "number": live.request.number}
+    live.submit(planner="birrt", speed=1.0, clearance=0.01, moved={"a": np.eye(4)})
+    page._go_back(live.reset)
+    assert vars(live.request) == {**first, "number": live.request.number}
+    assert [controls[name].value for name in ("planner", "clearance")] == ["roadmap", 2.0]
 
 
 def test_joints_of_the_start_are_moved_onto_the_constraint_or_say_why_not(fresh):
@@ -404,10 +426,11 @@ def test_a_mouse_moves_a_drawer_and_a_joint_undoes_both_and_saves(page, tmp_path
         until(lambda: live.wait().verdict in tab.text())
         tab.click("undo", lambda: live.request.start is None)
         until(lambda: "certified" in tab.text())
-        number = live.wait().request.number
+        solution = live.wait().solution
         tab.click("layers", lambda: tab.middle("goals", "[type=checkbox]"))
         tab.click("goals", lambda: not page._layers["goals"].value, "[type=checkbox]")
-        assert live.request.number == number, "a layer is switched without planning"
+        assert live.wait().solution is solution, "a layer is switched without planning"
+        tab.click("undo", lambda: page._layers["goals"].value)
         tab.click("save", lambda: tab.middle("save problem"))
         tab.click("save problem", lambda: "problem.json is in the folder" in tab.text())
         assert not tab.said
