@@ -160,7 +160,7 @@ def ground_height(scene: Scene) -> float | None:
 def robot_bodies(
     problem: PlanningProblem,
     states: np.ndarray,
-    colour: Colour = BODY_COLOURS["robot"],
+    colour: Colour | None = None,
     group: str = "robot",
     layer: str = "robot",
     opacity: float = 1.0,
@@ -170,7 +170,7 @@ def robot_bodies(
     Args:
         problem: the problem with robot and attachments.
         states: (m, n) [rad or m].
-        colour: colour of the robot.
+        colour: colour of the robot; None: that of the materials of its URDF, or light grey.
         group: name of the robot in legends.
         layer: layer of the bodies.
         opacity: opacity of the bodies, in [0, 1].
@@ -184,7 +184,8 @@ def robot_bodies(
     for part in drawn_pieces(problem.robot):
         poses = T_world_link[:, part.link] @ part.T_link_mesh
         torso = two_arms and part.link == 0
-        found.append(Body(group, layer, part.name, part.mesh, colour, poses, opacity, torso=torso))
+        paint = colour or part.colour or BODY_COLOURS["robot"]
+        found.append(Body(group, layer, part.name, part.mesh, paint, poses, opacity, torso=torso))
     for item in problem.attachments:
         poses = problem.robot.poses(states, item.end_effector) @ item.T_hand_object
         name = item.name.replace("_", " ") if group in ("robot", "start") else group
@@ -253,7 +254,7 @@ def _over(
     }
     colours = BODY_COLOURS
     start = problem.start[None]
-    yield from robot_bodies(problem, start, colours["robot"], "start", "start", 0.35)
+    yield from robot_bodies(problem, start, None, "start", "start", 0.35)
     opacity = 0.5 if path is None else 0.55
     for k, goal in enumerate(problem.goals[:goals] if path is None else states[-1:]):
         yield from robot_bodies(problem, goal[None], colours["goal"], "goal", f"goals/{k}", opacity)

@@ -8,6 +8,7 @@ legend or caption is below.
 import io
 import math
 from base64 import b64encode
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from html import escape
 from pathlib import Path
@@ -255,9 +256,11 @@ def task_image(
 
 def legend_of(bodies: Iterable[Body], texts: Sequence[str] = ()) -> list[Label]:
     """Labels for the groups of bodies and for texts without a colour; carried objects are last."""
-    colours: dict[str, Colour | None] = dict.fromkeys(texts)
+    found: dict[str, Counter[Colour]] = {}
     for body in bodies:
-        colours.setdefault(body.group, body.colour)
+        found.setdefault(body.group, Counter())[body.colour] += 1
+    colours: dict[str, Colour | None] = dict.fromkeys(texts)
+    colours |= {group: counts.most_common(1)[0][0] for group, counts in found.items()}
     order = ("start", "robot", "on the way", "goal", "path of the hand", *texts, "constraint")
     labels = [(word, colours.pop(word)) for word in order if word in colours]
     return [*labels, *colours.items()]

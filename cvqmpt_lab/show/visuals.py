@@ -17,7 +17,7 @@ from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.robot.source import content_digest, mesh_path, read_source
 from cvqmpt_lab.robot.urdf import collada_unit, read_urdf
 from cvqmpt_lab.scene.shapes import Box, Cylinder, Sphere
-from cvqmpt_lab.show.meshes import Mesh, hull_mesh, shape_mesh, unit
+from cvqmpt_lab.show.meshes import Colour, Mesh, hull_mesh, shape_mesh, unit
 
 
 class DrawnPiece(NamedTuple):
@@ -27,15 +27,22 @@ class DrawnPiece(NamedTuple):
     link: int  # pose row that it is fixed to, see `LinkGeometry`
     T_link_mesh: np.ndarray  # (4, 4) [m]
     mesh: Mesh
+    colour: Colour | None = None  # of its material in the URDF
 
 
 class _Visual(NamedTuple):
     """One visual body of a URDF: a mesh or a shape."""
 
     T_frame_body: np.ndarray  # (4, 4) [m]
+    colour: Colour | None
     path: str = ""  # of the mesh
     scale: tuple[float, ...] = ()
     shape: Box | Cylinder | Sphere | None = None
+
+    @property
+    def file(self) -> tuple[str, tuple[float, ...]]:
+        """Path and scale of the mesh."""
+        return self.path, self.scale
 
 
 @lru_cache(maxsize=8)
@@ -55,11 +62,14 @@ def drawn_pieces(robot: Robot) -> tuple[DrawnPiece, ...]:
         return tuple(piece for pieces in hulls.values() for piece in pieces)
     folders, urdf = [Path(folder) for folder in given.package_dirs], Path(given.urdf)
     visuals, failed = dict[str, list[_Visual]](), dict[str, str]()
-    for element in read_urdf(urdf).root.findall("link"):
+    root = read_urdf(urdf).root
+    # a material of a link may be named alone, and have its colour at the top of the file
+    materials = {element.get("name"): element for element in root.findall("material")}
+    for element in root.findall("link"):
         name, bodies = element.get("name", ""), element.findall("visual")
         if bodies and placed_in_link(robot, name, np.eye(4)):
             try:
-                visuals[name] = [_visual(body, urdf, folders) for body in bodies]
+                visuals[name] = [_visual(body, urdf, folders, materials) for body in bodies]
             except (InvalidInputError, ValueError, OSError) as error:
                 failed[name] = str(error)
     meshes = _simplified_meshes(
@@ -68,25 +78,37 @@ def drawn_pieces(robot: Robot) -> tuple[DrawnPiece, ...]:
     found = list[DrawnPiece]()
     for name in dict.fromkeys((*hulls, *visuals)):
         own = visuals.get(name, [])
-        unread = [visual.path for visual in own if visual.path and not meshes[visual[1:3]]]
+        unread = [visual.path for visual in own if visual.path and not meshes[visual.file]]
         if unread:
             failed[name] = f"{unread[0]} cannot be read"
         if unread or not own:
             found += hulls.get(name, [])
             continue
         for k, visual in enumerate(own):
-            body = shape_mesh(visual.shape) if visual.shape else meshes[visual[1:3]]
+            body = shape_mesh(visual.shape) if visual.shape else meshes[visual.file]
             placed = placed_in_link(robot, name, visual.T_frame_body)
             if body is not None and placed is not None:
-                found.append(DrawnPiece(f"{name}_{k}", *placed, body))
+                found.append(DrawnPiece(f"{name}_{k}", *placed, body, visual.colour))
     if failed:
         why = next(iter(failed.values()))
         warnings.warn(f"drawn by collision hulls: {few(list(failed))} ({why})", stacklevel=2)
     return tuple(found)
 
 
-def _visual(body: ElementTree.Element, urdf: Path, folders: Sequence[Path]) -> _Visual:
-    """Read a visual body; ValueError or InvalidInputError if it is malformed or not found."""
+def _visual(
+    body: ElementTree.Element,
+    urdf: Path,
+    folders: Sequence[Path],
+    materials: Mapping[str | None, ElementTree.Element],
+) -> _Visual:
+    """Read a visual body; ValueError or InvalidInputError if it is malformed or not found.
+
+    Args:
+        body: the element.
+        urdf: path of the URDF.
+        folders: folders of packages that meshes are in.
+        materials: materials at the top of the URDF, by name.
+    """
 
     def values(element: ElementTree.Element | None, name: str, default: str) -> list[float]:
         text = default if element is None else element.get(name, default)
@@ -95,6 +117,13 @@ def _visual(body: ElementTree.Element, urdf: Path, folders: Sequence[Path]) -> _
     origin = body.find("origin")
     x, y, z, roll, pitch, yaw = values(origin, "xyz", "0 0 0") + values(origin, "rpy", "0 0 0")
     T = rigid(rotation_of_rpy(roll, pitch, yaw), (x, y, z))
+    own = body.find("material")
+    named = None if own is None else materials.get(own.get("name"))
+    paint = None if own is None else own.find("color")
+    if paint is None and named is not None:
+        paint = named.find("color")
+    red, green, blue, _ = values(paint, "rgba", "0 0 0 1")
+    colour = None if paint is None else (red, green, blue)
     (shape,) = body.findall("geometry/*")
     match shape.tag:
         case "mesh":
@@ -102,15 +131,15 @@ def _visual(body: ElementTree.Element, urdf: Path, folders: Sequence[Path]) -> _
             dae = path.suffix.lower() == ".dae"  # its unit is ignored by the loader
             length = collada_unit(path.read_bytes()) if dae else 1.0
             scale = tuple(length * value for value in values(shape, "scale", "1 1 1"))
-            return _Visual(T, str(path), scale)
+            return _Visual(T, colour, str(path), scale)
         case "box":
             a, b, c = values(shape, "size", "")
-            return _Visual(T, shape=Box((a, b, c)))
+            return _Visual(T, colour, shape=Box((a, b, c)))
         case "cylinder":
             (radius,), (length,) = values(shape, "radius", ""), values(shape, "length", "")
-            return _Visual(T, shape=Cylinder(radius, length))
+            return _Visual(T, colour, shape=Cylinder(radius, length))
         case "sphere":
-            return _Visual(T, shape=Sphere(*values(shape, "radius", "")))
+            return _Visual(T, colour, shape=Sphere(*values(shape, "radius", "")))
     raise ValueError(f"unknown shape {shape.tag}")
 
 
@@ -118,7 +147,7 @@ def _simplified_meshes(
     visuals: Sequence[_Visual],
 ) -> Mapping[tuple[str, tuple[float, ...]], Mesh | None]:
     """Return the simplified meshes by path and scale; None for those that cannot be read."""
-    wanted = list(dict.fromkeys((visual.path, visual.scale) for visual in visuals))
+    wanted = list(dict.fromkeys(visual.file for visual in visuals))
     # robots of many links have coarser ones, so that pages stay small
     most = min(max(24_000 // max(len(visuals), 1), 300), 1200)
     made_of = [f"{sources_digest(Path(__file__))} {most}"]

@@ -14,12 +14,14 @@ from cvqmpt_lab.benchmarks.place_task import SHELF_DOOR, carried_can
 from cvqmpt_lab.certificate.certificate import certify
 from cvqmpt_lab.constraints.named import Region
 from cvqmpt_lab.constraints.task_space_region import upright, upright_box
+from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import load_robot, robot_from_source
-from cvqmpt_lab.scene.scene import Attachment, SceneObject
+from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, OccupancyMap, PointCloud, Sphere
 from cvqmpt_lab.search.result import JointPath
 from cvqmpt_lab.show import picture
 from cvqmpt_lab.show.bodies import (
+    BODY_COLOURS,
     drawing_of_problem,
     drawing_of_task,
     frames,
@@ -30,7 +32,14 @@ from cvqmpt_lab.show.bodies import (
 )
 from cvqmpt_lab.show.curves import plots_along
 from cvqmpt_lab.show.meshes import constraint_marks, hull_mesh, shape_mesh
-from cvqmpt_lab.show.picture import draw_solution, film_solution, save_film, strip, task_image
+from cvqmpt_lab.show.picture import (
+    draw_solution,
+    film_solution,
+    legend_of,
+    save_film,
+    strip,
+    task_image,
+)
 from cvqmpt_lab.show.raster import Renderer, Viewpoint
 from cvqmpt_lab.show.recording import log_solution
 from cvqmpt_lab.show.visuals import drawn_pieces, shaded, simplified
@@ -78,6 +87,34 @@ def test_visual_meshes_are_simplified_and_hulls_are_drawn_where_they_are_missing
     arm = load_robot(tmp_path / "arm.urdf", "tool")
     with pytest.warns(UserWarning, match=r"drawn by collision hulls: .*lost\.stl"):
         assert len(drawn_pieces(arm)) == len(arm.links)
+
+
+def test_a_robot_has_the_colours_of_its_urdf_and_legends_the_most_frequent(
+    slider_arm_urdf, tmp_path
+):
+    text, body = slider_arm_urdf.read_text(), '<visual><geometry><sphere radius="0.05"/></geometry>'
+    named = f'{body}<material name="red"/></visual>'
+    blue = f'{body}<material name="own"><color rgba="0 0 1 0.5"/></material></visual>'
+    bare = f'{body}<material name="unknown"/></visual>'
+    text = text.replace("</link>", f"{named}</link>", 2).replace("</link>", f"{blue}</link>", 1)
+    text = text.replace(
+        "</robot>", '<material name="red"><color rgba="1 0 0 1"/></material></robot>'
+    )
+    at = text.index('name="wrist"')
+    (tmp_path / "arm.urdf").write_text(
+        text[:at] + text[at:].replace("</link>", f"{bare}</link>", 1)
+    )
+    arm = load_robot(tmp_path / "arm.urdf", "tool")
+    problem = PlanningProblem("alone", arm, Scene("none", ()), np.zeros(4), np.zeros((1, 4)))
+    bodies = robot_bodies(problem, problem.start[None])
+    colours = {body.name: body.colour for body in bodies}
+    assert colours["base_0"] == colours["carriage_0"] == (1.0, 0.0, 0.0)
+    assert colours["base_1"] == (0.0, 0.0, 1.0)
+    assert colours["wrist_0"] == colours["elbow_0"] == BODY_COLOURS["robot"]
+    assert legend_of(bodies[:3]) == [("robot", (1.0, 0.0, 0.0))]
+    assert {
+        body.colour for body in robot_bodies(problem, problem.start[None], (0.0, 1.0, 0.0))
+    } == {(0.0, 1.0, 0.0)}
 
 
 def test_a_ghost_that_stands_where_the_robot_stands_is_not_seen(problem):
