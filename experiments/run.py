@@ -305,7 +305,8 @@ def run_experiment(
                 outcome = Outcome(failed_rows(run, item, result.reason, result.detail))
             store.append(outcome.rows, outcome.paths)
             failed = next((row for row in outcome.rows if not row.solved), None)
-            note = f"{failed.problem} {failed.fail_reason}" if failed else f"{run.item} solved"
+            reason = failed.fail_reason if failed else None
+            note = f"{failed.problem} {reason.shown}" if failed and reason else f"{run.item} solved"
             finished += 1
             on_progress(finished, len(runs), f"{run.planner} {note}")
         return store.rows()

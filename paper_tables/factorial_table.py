@@ -23,6 +23,7 @@ from cvqmpt_lab.paper_tables.measures import (
 )
 from cvqmpt_lab.paper_tables.statements import PublishedValue
 from cvqmpt_lab.paper_tables.table_engine import Column, SuiteTable
+from cvqmpt_lab.paper_tables.writers import Ratio
 from cvqmpt_lab.results.row import ResultRow
 from cvqmpt_lab.results.statistics import Interval
 from cvqmpt_lab.vqmpt.sampler_choice import CHOICES, NAMED_SAMPLERS
@@ -31,7 +32,6 @@ PREDICTORS = (  # in their order in the table
     *("uniform", "nearest-lines", "transformer-lines"),
     *("transformer", "published", "random", "oracle", "solved"),
 )
-CONTRAST_HEAD = ["the first / the second", "problems", "work", "projections", "length", "G"]
 # columns of rows; reach is None where extensions have no limit
 FACTORS = (
     *("predictor", "gaussians", "update", "cloud", "uniform_share", "sequences"),
@@ -46,7 +46,7 @@ CONTRASTED: Mapping[str, Value] = {
 FACTORIAL_COLUMNS: Mapping[str, Column] = {
     "solved": Column("solved %", "%", share_of(solved), best="most"),
     **{
-        f"{name}_ratio": Column(name, "1", ratio_to(REFERENCE, value))
+        f"{name}_ratio": Column(Ratio(name), "1", ratio_to(REFERENCE, value))
         for name, value in CONTRASTED.items()
     },
     "own_time_median": Column("time [s]", "s", median_of("own_time")),
@@ -104,7 +104,9 @@ class Contrast(NamedTuple):
         def ratio(value: Value, rows: Rows, runs: SuiteRuns) -> Interval:
             return mean_ratio(paired(rows, sides[1], value, shared))
 
-        columns = {name: Column(name, "1", partial(ratio, x)) for name, x in CONTRASTED.items()}
+        columns = {
+            name: Column(Ratio(name), "1", partial(ratio, x)) for name, x in CONTRASTED.items()
+        }
         return table.entry(self.title, sides[0], runs, columns, suffix="_contrast")
 
 
@@ -176,7 +178,8 @@ def factorial_table(rows: Iterable[ResultRow], published: Sequence[PublishedValu
     ]
     compared = [contrast.entry(runs) for contrast in CONTRASTS]
     contrasts = [item for item in compared if item.measured["work"].n]
-    lines, compared_lines = table.group_lines(found, ["predictor"]), [CONTRAST_HEAD]
+    lines = table.group_lines(found, ["predictor"])
+    compared_lines = [["the first / the second", "problems", *map(Ratio, CONTRASTED)]]
     for item in contrasts:
         pairs = str(item.measured["work"].n)
         compared_lines.append([item.planner, pairs, *map(item.cell, CONTRASTED)])

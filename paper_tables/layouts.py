@@ -23,7 +23,7 @@ from cvqmpt_lab.paper_tables.measures import (
 )
 from cvqmpt_lab.paper_tables.statements import PublishedValue
 from cvqmpt_lab.paper_tables.table_engine import Column, Entry, SuiteTable
-from cvqmpt_lab.paper_tables.writers import Lines, Sections, number, rounded
+from cvqmpt_lab.paper_tables.writers import Lines, Ratio, Sections, number, rounded
 from cvqmpt_lab.results.row import FailReason, ResultRow, split_problem
 from cvqmpt_lab.results.statistics import Interval
 from cvqmpt_lab.vqmpt.config import BY_ROLLOUTS, ROLLOUTS_ALONE
@@ -62,14 +62,16 @@ EFFORT_COLUMNS = {
     "newton_iterations_median": Column("Newton iterations", "1", median_of("newton_iterations")),
     "newton_steps_median": Column("steps per projection", "1", median_of("newton_steps", "stated")),
     "newton_steps_ratio": Column(
-        f"steps per projection / {REFERENCE}", "1", ratio_to(REFERENCE, VALUES["newton_steps"])
+        Ratio(f"steps per projection / {REFERENCE}"),
+        "1",
+        ratio_to(REFERENCE, VALUES["newton_steps"]),
     ),
     "state_checks_median": Column("state checks", "1", median_of("state_checks")),
     "work_median": Column("work", "1", median_of("work")),
     "clearances_median": Column("clearances", "1", median_of("clearances")),
     "known_time_median": Column("time, scene known [s]", "s", median_of("known_time")),
     "new_time_median": Column("time, scene new [s]", "s", median_of("new_time")),
-    "time_ratio": Column(f"time / {BASELINE}", "1", ratio_to(BASELINE, VALUES["time"])),
+    "time_ratio": Column(Ratio(f"time / {BASELINE}"), "1", ratio_to(BASELINE, VALUES["time"])),
     "fallbacks": Column(
         "by fallback [%]", "%", share_of(lambda row: row.fallback is not None), best="none"
     ),
@@ -81,7 +83,7 @@ GROWN_COLUMNS = {  # only for rows with numbers of extensions
         "Newton steps per sample", "1", median_of("draw_newton_steps", "stated")
     ),
     "draw_newton_steps_ratio": Column(
-        f"Newton steps per sample / {REFERENCE}",
+        Ratio(f"Newton steps per sample / {REFERENCE}"),
         "1",
         ratio_to(REFERENCE, VALUES["draw_newton_steps"]),
     ),
@@ -95,7 +97,7 @@ PAPER_COST_COLUMNS = {
     "paper_cost_median": Column("time at the paper's cost [s]", "s", median_of("paper_cost")),
     **{
         f"paper_cost_ratio_{name}": Column(
-            f"the same / {name}", "1", ratio_to(name, VALUES["paper_cost"])
+            Ratio(f"the same / {name}"), "1", ratio_to(name, VALUES["paper_cost"])
         )
         for name in (REFERENCE, BASELINE)
     },
@@ -264,7 +266,7 @@ def _first_lines(found: Sequence[Entry], columns: Mapping[str, str]) -> Lines:
     planners = [item.planner for item in found]
     ratios = zip(planners, table.cells_of(found, ratio), strict=True)
     against = ["–" if planner == REFERENCE else cell for planner, cell in ratios]
-    head = ["planner", *columns, f"work / {REFERENCE}"]
+    head = ["planner", *columns, Ratio(f"work / {REFERENCE}")]
     return [head, *map(list, zip(planners, *cells, against, strict=True))]
 
 
@@ -283,7 +285,7 @@ def _paper_lines(found: Sequence[Entry], metric: str, ours: Mapping[str, str]) -
 
 def _split_lines(found: Sequence[Entry], runs: SuiteRuns) -> Lines:
     """Return ratios on all, easy and hard problems for every planner except the reference."""
-    lines = [["planner", "runs", *(label for label, _ in RATIOS.values())]]
+    lines = [["planner", "runs", *(Ratio(label) for label, _ in RATIOS.values())]]
     for item in found:
         for part in SPLIT_PARTS if item.planner != REFERENCE else ():
             cells = (item.cell(split_metric(name, part)) for name in RATIOS)
@@ -327,7 +329,9 @@ GROUP_COLUMNS: Mapping[str, Column] = {
     "time_median": Column("time [s]", "s", median_of("time")),
     "work_median": Column("work", "1", median_of("work")),
     **{
-        name: Column(f"{RATIOS[name][0]} / {REFERENCE}", "1", ratio_to(REFERENCE, RATIOS[name][1]))
+        name: Column(
+            Ratio(f"{RATIOS[name][0]} / {REFERENCE}"), "1", ratio_to(REFERENCE, RATIOS[name][1])
+        )
         for name in ("work_ratio", "own_time_ratio", "length_ratio")
     },
     # columns for executions in simulation
@@ -421,10 +425,12 @@ PEER_COLUMNS: Mapping[str, Column] = {
     ),
     "certified": Column("certified [%]", "%", share_of(solved), best="most"),
     "wall_median": Column("time [s]", "s", median_of("wall_time")),
-    "wall_ratio": Column(f"time / {REFERENCE}", "1", ratio_to(REFERENCE, VALUES["wall_time"])),
+    "wall_ratio": Column(
+        Ratio(f"time / {REFERENCE}"), "1", ratio_to(REFERENCE, VALUES["wall_time"])
+    ),
     "path_length_median": Column("length [rad]", "rad", median_of("path_length", "solved")),
     "length_ratio": Column(
-        f"length / {REFERENCE}", "1", ratio_to(REFERENCE, VALUES["path_length"])
+        Ratio(f"length / {REFERENCE}"), "1", ratio_to(REFERENCE, VALUES["path_length"])
     ),
 }
 PEER_NOTES = (

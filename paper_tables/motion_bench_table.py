@@ -18,7 +18,7 @@ from cvqmpt_lab.paper_tables.measures import (
 )
 from cvqmpt_lab.paper_tables.statements import PublishedValue
 from cvqmpt_lab.paper_tables.table_engine import SuiteTable, rows_of_one_suite
-from cvqmpt_lab.paper_tables.writers import Lines, Sections, estimate
+from cvqmpt_lab.paper_tables.writers import Lines, Ratio, Sections, estimate
 from cvqmpt_lab.results.row import FailReason, ResultRow, split_problem
 
 # there is no problem to solve; a planner had no part in it
@@ -60,7 +60,7 @@ def class_lines(rows: Rows) -> Lines:
         f"{WORK_CLASSES[k - 1]:g} to {WORK_CLASSES[k]:g}": classes[k] for k in sorted(classes)
     }
     groups["any, and no path through the roadmap"] = [row for row in own if row.fallback]
-    lines = [["work of birrt", "problems", *(f"{word} / birrt" for word in BENCH_RATIOS)]]
+    lines = [["work of birrt", "problems", *(Ratio(f"{word} / birrt") for word in BENCH_RATIOS)]]
     for title, some in groups.items():
         pairs = [paired(some, base, VALUES[value]) for value in BENCH_RATIOS.values()]
         lines.append([title, str(len(pairs[0])), *(estimate(mean_ratio(item)) for item in pairs)])

@@ -26,6 +26,7 @@ from cvqmpt_lab.paper_tables.measures import (
 from cvqmpt_lab.paper_tables.rule import FEWEST_PROBLEMS, ratio_of_means
 from cvqmpt_lab.paper_tables.statements import CBIRRT, PublishedValue
 from cvqmpt_lab.paper_tables.table_engine import Column, SuiteTable
+from cvqmpt_lab.paper_tables.writers import Ratio
 from cvqmpt_lab.results.row import ResultRow
 from cvqmpt_lab.results.statistics import CONFIDENCE, UNDEFINED, Interval
 
@@ -76,7 +77,7 @@ def _ratios(label: str, value: str, cutoff: float | None = None) -> dict[str, Co
     """Return the columns of a value's ratios to CBiRRT and to uniform samples."""
     return {
         f"{value}_means_over_{name}": Column(
-            f"{label} / {name}", "1", means_ratio(name, VALUES[value], cutoff)
+            Ratio(f"{label} / {name}"), "1", means_ratio(name, VALUES[value], cutoff)
         )
         for name in (CBIRRT, UNIFORM)
     }

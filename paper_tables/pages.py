@@ -43,7 +43,7 @@ from cvqmpt_lab.paper_tables.quoted import clear
 from cvqmpt_lab.paper_tables.rendering import published_of, table_of, title_of
 from cvqmpt_lab.paper_tables.statements import BECAUSE, CBIRRT, CVQ, OPT, PUBLISHED, READING, STEPS
 from cvqmpt_lab.paper_tables.table_engine import by_planner
-from cvqmpt_lab.paper_tables.writers import BOLD, Lines, change, markdown_table
+from cvqmpt_lab.paper_tables.writers import BOLD, Lines, Ratio, change, markdown_table
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE, digests_in, sessions
 from cvqmpt_lab.results.row import ResultRow
 
@@ -97,7 +97,7 @@ def html_cell(text: str, head: str) -> str:
         return f"<td>{shown}</td>"
     value, interval, low, high = found.groups()
     kind = ""
-    if " / " in head and interval[0] == "[" and "∞" not in interval:
+    if isinstance(head, Ratio) and interval[0] == "[" and "∞" not in interval:
         kind = "less" if float(high) < 1.0 else "more" if float(low) > 1.0 else ""
     return f"<td{f' class={kind}' if kind else ''}>{value}<small>{interval}</small></td>"
 

@@ -20,14 +20,15 @@ from cvqmpt_lab.paper_tables.measures import (
 )
 from cvqmpt_lab.paper_tables.statements import PublishedValue
 from cvqmpt_lab.paper_tables.writers import (
-    MOST_COLUMNS,
     Lines,
+    Ratio,
     Sections,
     bold,
     bounds,
     estimate,
     latex_table,
     number,
+    side_by_side,
     text_lines,
 )
 from cvqmpt_lab.results.row import FailReason, ResultRow, sorted_rows, split_problem
@@ -255,7 +256,7 @@ def cells_of(
     best = min(known) if column.best == "least" else max(known)
     values = [text.partition(" ")[0] for text in cells]
     winners = [value == values[numbers.index(best)] for value in values]
-    if 2 * sum(winners) > len(known) or (" / " in column.label and best >= 1.0):
+    if 2 * sum(winners) > len(known) or (isinstance(column.label, Ratio) and best >= 1.0):
         return cells
     return [bold(text) if won else text for text, won in zip(cells, winners, strict=True)]
 
@@ -337,9 +338,8 @@ def latex_planners(
         found: entries of the planners.
         metrics: the paper's metrics, each with our columns by title.
     """
-    parts = []
-    for first in range(0, len(found), MOST_COLUMNS):
-        shown = range(first, min(first + MOST_COLUMNS, len(found)))
+    parts, labels = [], max(len(metric) for metric in metrics) + 20
+    for shown in side_by_side(labels, [max(14, len(item.planner)) for item in found]):
         names = [["", "", *(found[k].paper_name or found[k].planner for k in shown)]]
         if any(found[k].paper_name for k in shown):
             own = (found[k].planner if found[k].paper_name else "" for k in shown)
@@ -374,8 +374,8 @@ def _latex_block(
 
 def latex_groups(caption: str, label: str, lines: Lines) -> str:
     """Return LaTeX of `group_lines` with a rule between groups."""
-    parts = []
-    for first in range(2, len(lines[0]), MOST_COLUMNS):
-        header, *rest = ([*line[:2], *line[first : first + MOST_COLUMNS]] for line in lines)
+    parts, widths = [], [max(map(len, column)) for column in zip(*lines, strict=True)]
+    for shown in side_by_side(sum(widths[:2]), widths[2:]):
+        header, *rest = ([*line[:2], *(line[2 + k] for k in shown)] for line in lines)
         parts.append([[header], *(list(part) for _, part in groupby(rest, itemgetter(0)))])
     return latex_table(caption, label, parts)

@@ -2,12 +2,16 @@
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 from cvqmpt_lab.results.statistics import CONFIDENCE, Interval
 
 _LATEX_ESCAPES = {
     "\\": r"\textbackslash{}",
+    "<": r"\textless{}",
+    ">": r"\textgreater{}",
+    "|": r"\textbar{}",
+    "−": "$-$",
     "∞": r"$\infty$",
     "–": "--",
     "^": r"\^{}",
@@ -16,7 +20,13 @@ _LATEX_ESCAPES = {
 _LATEX_ESCAPES |= {character: f"\\{character}" for character in "&%$#_{}"}
 PAGE_WIDTH = 100  # characters of a line of Markdown
 BOLD = re.compile(r"\*\*(.+?)\*\*")
-MOST_COLUMNS = 5  # of numbers side by side on a page of LaTeX
+
+
+class Ratio(str):
+    """Title of a column of ratios, which pages colour where the interval is on one side of 1."""
+
+    __slots__ = ()
+
 
 Lines = Sequence[Sequence[str]]  # a table as lines of cells, the header first
 # by title; what has no title is plain text and comes first
@@ -139,16 +149,48 @@ def narrow(lines: Lines) -> list[Lines]:
     return [[[*line[:labels], *(line[k] for k in part)] for line in lines] for part in parts]
 
 
-def latex_table(caption: str, label: str, parts: Sequence[Sequence[Lines]]) -> str:
+def side_by_side(
+    labels: int, widths: Sequence[int], most: int = 5, across: int = 118
+) -> Iterator[range]:
+    """Yield the columns of one table of LaTeX after the other.
+
+    Args:
+        labels: width of the columns with labels [characters].
+        widths: width of every other column [characters].
+        most: largest number of columns of a table, without labels.
+        across: width of a page [characters].
+    """
+    first = 0
+    while first < len(widths):
+        last, taken = first + 1, labels + widths[first]
+        while last < min(len(widths), first + most) and taken + widths[last] + 2 <= across:
+            taken += widths[last] + 2
+            last += 1
+        yield range(first, last)
+        first = last
+
+
+def latex_table(
+    caption: str, label: str, parts: Iterable[Sequence[Lines]], most_lines: int = 70
+) -> str:
     """Tables over two columns (booktabs), two label columns first; the caption stands at the first.
 
     Args:
         caption: caption of the first table.
         label: name of its label; the others have it with their number.
-        parts: tables, each as blocks of lines with a rule between them.
+        parts: tables, each as blocks of lines with a rule between them, the header first.
+        most_lines: number of lines of a page; longer tables are cut, and have the header again.
     """
-    name, texts = "".join(c if c.isalnum() else "-" for c in label), []
-    for number, blocks in enumerate(parts, start=1):
+    name, texts, cut = "".join(c if c.isalnum() else "-" for c in label), [], []
+    for header, *blocks in parts:
+        cut.append([header])
+        for block in blocks:
+            for first in range(0, len(block), most_lines):
+                piece = block[first : first + most_lines]
+                if sum(map(len, cut[-1])) + len(piece) > most_lines and len(cut[-1]) > 1:
+                    cut.append([header])
+                cut[-1].append(piece)
+    for number, blocks in enumerate(cut, start=1):
         text = latex(caption) if number == 1 else "Continued."
         place = f"tab:{name}" if number == 1 else f"tab:{name}-{number}"
         texts.append(_latex_float(rf"\caption{{{text}}}\label{{{place}}}", blocks))
@@ -162,7 +204,10 @@ def _latex_float(caption: str, blocks: Sequence[Lines]) -> str:
     body: list[str] = []
     for block in blocks:
         body += [r"\midrule"] if body else []
-        body += [" & ".join(latex(line[k]) for k in (*labels, *numbers)) + r" \\" for line in block]
+        for line in block:
+            row = " & ".join(latex(line[k]) for k in (*labels, *numbers))
+            # a row that begins with [ or * would be read as an argument of the \\ before it
+            body.append(("{}" if row.startswith(("[", "*")) else "") + row + r" \\")
     return "\n".join(
         [
             r"\begin{table*}[t]",

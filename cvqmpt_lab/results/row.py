@@ -74,7 +74,7 @@ class FailReason(StrEnum):
     @property
     def shown(self) -> str:
         """The reason as people read it: a refused path is "not certified: collision"."""
-        return self.replace("uncertified_", "not certified: ")
+        return self.replace("uncertified_", "not certified: ").replace("_", " ")
 
 
 RowKey = tuple[str, str, str, int, str]  # suite, problem, planner, seed, backend

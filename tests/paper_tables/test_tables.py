@@ -7,7 +7,7 @@ import sqlite3
 import subprocess
 import zlib
 from base64 import b64decode
-from itertools import product
+from itertools import accumulate, product
 
 import pytest
 from command_line import refused as command_refused
@@ -27,7 +27,7 @@ from cvqmpt_lab.paper_tables.quoted import Quoted, clear
 from cvqmpt_lab.paper_tables.rendering import render_directory, table_of
 from cvqmpt_lab.paper_tables.statements import read_published
 from cvqmpt_lab.paper_tables.table_engine import SuiteTable, by_planner, failure
-from cvqmpt_lab.paper_tables.writers import latex_table
+from cvqmpt_lab.paper_tables.writers import Ratio, latex_table
 from cvqmpt_lab.planning.planners import PLANNERS
 from cvqmpt_lab.results.row import RUNS_FILE, read_rows, write_rows
 from cvqmpt_lab.results.store import PARTIAL_FILE, RunStore
@@ -106,8 +106,26 @@ def run(planner, problem, time=None, **values):
 def test_a_table_is_of_one_suite_and_names_are_escaped():
     for rows in ([], [run("birrt", 0, 1.0), run("birrt", 0, 1.0, suite="random")]):
         refused("one suite", place_table, rows, PAPER)
-    escaped = latex_table("", "x", [[[["", "", "my_50%_#1"], ["time", "ours", "–∞"]]]])
+    table = [["", "", "my_50%_#1"], ["time", "ours", "–∞ −1"], ["[x]", "{a} & b\\\\", "<|>"]]
+    escaped = latex_table("", "x", [[table]])
     assert r"my\_50\%\_\#1" in escaped and escaped.isascii()
+    assert "{}[x] &" in escaped, "read as an argument of the line before"
+    lines_have_equal_cells(escaped)
+
+
+def lines_have_equal_cells(text):
+    """Assert that LaTeX is balanced, and that lines have as many cells as their table."""
+    plain = re.sub(r"\\[&%{}$#_]", "", text)
+    assert plain.isascii() and not set("<>|%#_") & set(plain)
+    depths = list(accumulate({"{": 1, "}": -1}.get(character, 0) for character in plain))
+    assert min(depths) == depths[-1] == 0
+    tables = re.findall(r"{tabular}{([lc]+)}\s+\\toprule(.*?)\\bottomrule", plain, re.DOTALL)
+    assert len(tables) == plain.count(r"\begin{tabular}") > 0
+    for columns, body in tables:
+        lines = body.replace(r"\midrule", "").split("\n")
+        cells = [line.count("&") + 1 for line in lines if line.strip()]
+        assert set(cells) == {len(columns)}
+        assert all(line.endswith(r" \\") for line in lines if line.strip())
 
 
 def test_tables_of_own_planners_have_no_paper_unique_labels_and_the_best_bold(tmp_path):
@@ -257,9 +275,11 @@ def test_a_report_packs_its_rows_marks_the_best_and_colours_ratios(page):
     assert section["path"]["html"] == "</script>turned" and len(section["rows"][EVIL]) == 10
     assert len(packed) < 0.3 * len(json.dumps(data)), "rows are most of a report"
     worse = "<td class=more>2.00<small>[2.00, 2.10]</small></td>"
-    assert pages.html_cell("2.00 [2.00, 2.10]", "time / birrt") == worse
-    best = pages.html_cell("**0.5** [0.4, 0.9]", "work / birrt")
+    assert pages.html_cell("2.00 [2.00, 2.10]", Ratio("time / birrt")) == worse
+    best = pages.html_cell("**0.5** [0.4, 0.9]", Ratio("work"))
     assert best.startswith("<td class=less><b>0.5</b>")
+    plain = pages.html_cell("0.5 [0.4, 0.9]", "shoulder / elbow")
+    assert plain == "<td>0.5<small>[0.4, 0.9]</small></td>", "coloured by its title"
     assert pages.html_cell("0.5 [0.4, 0.9]", "time [s]") == "<td>0.5<small>[0.4, 0.9]</small></td>"
 
 
@@ -286,6 +306,23 @@ def test_a_report_of_one_directory_points_to_the_verdicts_and_has_its_name(
     text = (tmp_path / "r.html").read_text()
     assert "<title>place-task</title>" in text and "too little to judge the paper" in text
     assert "Is the paper replicated?" not in text and "A verdict is" not in text
+
+
+@pytest.mark.parametrize(
+    "suite", ["place-task", "factorial", "motion-bench", "peers", "multi-sequence", "open-door"]
+)
+def test_titles_say_whether_a_column_is_a_ratio_and_lines_of_latex_have_equal_cells(
+    suite, tmp_path
+):
+    head, *lines = (RESULTS / suite / RUNS_FILE).read_text().splitlines(keepends=True)
+    (tmp_path / RUNS_FILE).write_text("".join([head, *lines[:: 1 + len(lines) // 20]]))
+    made = table_of(read_rows(tmp_path / RUNS_FILE))
+    heads = [part[0] for part in made.sections.values() if part and not isinstance(part[0], str)]
+    titled = {title for head in heads for title in head if " / " in title}
+    ratios = {title for head in heads for title in head if isinstance(title, Ratio)}
+    assert titled - ratios <= {"the first / the second"}
+    assert suite != "factorial" or ratios == {"work", "projections", "length", "G"}
+    lines_have_equal_cells(made.latex("95 % of {a}_b & c", "d"))
 
 
 def test_failures_of_refused_paths_are_not_certified_and_why():
