@@ -258,7 +258,7 @@ def legend_of(bodies: Iterable[Body], texts: Sequence[str] = ()) -> list[Label]:
     """Labels for the groups of bodies and for texts without a colour; carried objects are last."""
     found: dict[str, Counter[Colour]] = {}
     for body in bodies:
-        found.setdefault(body.group, Counter())[body.colour] += 1
+        found.setdefault(body.group, Counter())[body.colour] += len(body.mesh.corners)
     colours: dict[str, Colour | None] = dict.fromkeys(texts)
     colours |= {group: counts.most_common(1)[0][0] for group, counts in found.items()}
     order = ("start", "robot", "on the way", "goal", "path of the hand", *texts, "constraint")
