@@ -9,14 +9,17 @@ the constraint of task-space regions, and of functions beside them.
 
 import ctypes
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
 
+from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.constraints.regions import FunctionRows, Regions, no_regions
 from cvqmpt_lab.robot.robot import Robot
+
+Evaluated = Callable[[np.ndarray], np.ndarray]
 
 
 class Constraint(ABC):
@@ -65,6 +68,10 @@ class Constraint(ABC):
     def _calls(self) -> "PythonRows":
         return PythonRows(self)
 
+    def for_one_state(self) -> tuple[Evaluated, Evaluated]:
+        """Return functions of a read-only q (n,) for F(q) and J(q), which compiled code calls."""
+        return self.residual, self.jacobian
+
     def on(self, robot: Robot) -> Self:
         """Return the constraint for a robot: itself."""
         return self
@@ -108,15 +115,20 @@ class PythonRows:
 
     def _call_of(self, constraint: Constraint) -> Any:
         """Return the function that compiled code calls; it copies arrays to and from pointers."""
+        residual, jacobian = constraint.for_one_state()
 
         def call(derivative: int, n: int, m: int, q: int, *pointers: int) -> int:
             if self.error is not None:
                 return 1
             try:
                 given = np.frombuffer(ctypes.string_at(q, 8 * n))  # read-only, and fast
-                found = constraint.jacobian(given) if derivative else constraint.residual(given)
-                shape = (m, n) if derivative else (m,)
-                values = np.asarray(found, dtype=float).reshape(shape).tobytes()
+                found = jacobian(given) if derivative else residual(given)
+                values, size = np.asarray(found, dtype=float).tobytes(), m * n if derivative else m
+                if len(values) != 8 * size:
+                    raise InvalidInputError(
+                        f"{constraint.describe()}: {'J' if derivative else 'F'} has "
+                        f"{len(values) // 8} numbers at {given.tolist()}; needed: {size}"
+                    )
                 ctypes.memmove(pointers[-1], values, len(values))
                 return 0
             except BaseException as error:

@@ -1,15 +1,17 @@
 """Constraints of the user's own: any F(q), as Python, numba or torch functions."""
 
+import inspect
 import time
 from collections.abc import Callable, Mapping
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from cvqmpt_lab.base.errors import InvalidInputError
-from cvqmpt_lab.constraints.constraint import Constraint
+from cvqmpt_lab.base.values import frozen
+from cvqmpt_lab.constraints.constraint import Constraint, Evaluated
 from cvqmpt_lab.constraints.regions import FunctionRows
 from cvqmpt_lab.geometry.polyline import step_lengths
 
@@ -20,9 +22,9 @@ class FunctionConstraint(Constraint):
     """A constraint F(q) = 0 of the user's own, beside or instead of regions.
 
     Functions take q as (n,) and return (dim,); faster are those that also take (b, n) and return
-    (b, dim). A function that numba compiled has another signature, ``F(q, out)`` with arrays (n,)
-    and (dim,), and runs at machine speed; its Jacobian is ``J(q, out)`` with out (dim, n), compiled
-    by numba, too. It fails at a state where it raises an error.
+    (b, dim). A function that numba compiled, and its Jacobian, run at machine speed. They take one
+    state, or write into an array: ``F(q, out)`` with out (dim,), ``J(q, out)`` with out (dim, n).
+    They fail at a state where they raise an error.
 
     Args:
         dim: number of entries of F, fewer than the robot has joints.
@@ -62,9 +64,7 @@ class FunctionConstraint(Constraint):
                 f"constraint {self.name}: bound is {bound:g}; give a Lipschitz constant above 0"
             )
         if self.compiled and jacobian is not None and not hasattr(jacobian, "py_func"):
-            raise InvalidInputError(
-                f"constraint {self.name}: compile its Jacobian by numba, too: J(q, out)"
-            )
+            raise InvalidInputError(f"constraint {self.name}: compile its Jacobian by numba, too")
 
     @property
     def dim(self) -> int:
@@ -108,13 +108,13 @@ class FunctionConstraint(Constraint):
         """Return F(q), (dim,) or (b, dim), by machine code where it exists."""
         if not self.compiled:
             return self.own_residual(q)
-        return self._filled(self._function, np.asarray(q), (self.dim,))
+        return self._filled(self._in_place[0], np.asarray(q), (self.dim,))
 
     def own_residual(self, q: np.ndarray) -> np.ndarray:
         """Return F(q), (dim,) or (b, dim), by the user's Python function."""
-        if self.compiled:
-            return self._filled(self._function.py_func, np.asarray(q), (self.dim,))  # type: ignore
-        return self._called(self._function, np.asarray(q), (self.dim,))
+        own = getattr(self._function, "py_func", self._function)
+        fills = self.compiled and self._in_place[0] is self._function
+        return (self._filled if fills else self._called)(own, np.asarray(q), (self.dim,))
 
     def jacobian(self, q: np.ndarray) -> np.ndarray:
         """Return dF/dq, (dim, n) or (b, dim, n)."""
@@ -123,8 +123,40 @@ class FunctionConstraint(Constraint):
         if self._derivative is None:
             return differences(self.residual, q)
         if self.compiled:
-            return self._filled(self._derivative, q, shape)
+            return self._filled(self._in_place[1], q, shape)
         return self._called(self._derivative, q, shape)
+
+    def for_one_state(self) -> tuple[Evaluated, Evaluated]:
+        """Return the user's own functions; without a Jacobian, one call computes F and dF/dq.
+
+        Newton's method needs dF/dq after every F but the last one, and converges quadratically: F
+        after a step from an entry above 0.01 is computed with the states around it.
+        """
+        function, shape = self._function, (self.dim,)
+        if self._derivative is not None:
+            return function, self._derivative
+        far, stepping, found = False, False, (b"", np.empty(0))
+
+        def with_slopes(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            values = self._called(function, around(q), shape)
+            return values[0], slopes_of(values)
+
+        def residual(q: np.ndarray) -> np.ndarray:
+            nonlocal far, stepping, found
+            if far and stepping and self._takes_batches.get(function):
+                F, slopes = with_slopes(q)
+                found = q.tobytes(), slopes
+            else:
+                F = np.asarray(function(q), dtype=float)
+            far, stepping = max(map(abs, F.ravel().tolist())) > 0.01, False
+            return F
+
+        def jacobian(q: np.ndarray) -> np.ndarray:
+            nonlocal stepping
+            stepping = True
+            return found[1] if found[0] == q.tobytes() else with_slopes(q)[1]
+
+        return residual, jacobian
 
     def bound_between(self, states: np.ndarray) -> np.ndarray | None:
         """Return by how much F can exceed its larger value at both ends, (k - 1,), see `bound`."""
@@ -149,18 +181,24 @@ class FunctionConstraint(Constraint):
 
     @cached_property
     def _machine_code(self) -> Any:
-        return machine_code(self._function, self._derivative)
+        return machine_code(*self._in_place)
+
+    @cached_property
+    def _in_place(self) -> tuple[Any, Any]:
+        """Compiled F and J as functions (q, out)."""
+        return in_place(self._function), in_place(self._derivative)
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the fields that another process can use, which checks them again."""
         kept = {**super().__getstate__(), "accepted": set()}
         kept.pop("_machine_code", None)
+        kept.pop("_in_place", None)
         return kept
 
-    def __reduce__(self) -> Any:
+    def __reduce_ex__(self, protocol: Any) -> Any:
         if self.source is not None:
             return self.load, self.source
-        return super().__reduce_ex__(2)
+        return super().__reduce_ex__(protocol)
 
     @staticmethod
     def _filled(function: Any, q: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
@@ -187,7 +225,9 @@ class FunctionConstraint(Constraint):
             q = q.copy()
             q.flags.writeable = False
         value = np.asarray(function(q), dtype=float)
-        if value.shape != shape and value.size != int(np.prod(shape)):
+        if value.shape == shape:
+            return value
+        if value.size != int(np.prod(shape)):
             what = "F" if function is self._function else "its Jacobian"
             raise InvalidInputError(
                 f"constraint {self.name}: {what} has shape {value.shape}; needed: {shape}"
@@ -205,13 +245,43 @@ class FunctionConstraint(Constraint):
         return np.allclose(together, alone, equal_nan=True)
 
 
-def differences(function: Callable[[np.ndarray], np.ndarray], q: np.ndarray) -> np.ndarray:
+def differences(function: Evaluated, q: np.ndarray) -> np.ndarray:
     """Return dF/dq by central differences, (dim, n) or (b, dim, n) of q (n,) or (b, n)."""
-    step, n = 6e-6, q.shape[-1]  # the cube root of the rounding error, of values about 1
-    moved = q[..., None, None, :] + step * np.stack([np.eye(n), -np.eye(n)])
-    values = function(moved.reshape(-1, n)).reshape(*moved.shape[:-1], -1)
-    slopes = (values[..., 0, :, :] - values[..., 1, :, :]) / (2.0 * step)
-    return np.ascontiguousarray(np.swapaxes(slopes, -1, -2))
+    moved = around(q)
+    return slopes_of(function(moved.reshape(-1, q.shape[-1])).reshape(*moved.shape[:-1], -1))
+
+
+def around(q: np.ndarray) -> np.ndarray:
+    """Return q (..., n), and q with each joint moved ahead, then back, (..., 1 + 2 n, n)."""
+    return frozen(q[..., None, :] + _steps(q.shape[-1]))
+
+
+def slopes_of(values: np.ndarray) -> np.ndarray:
+    """Return dF/dq (..., dim, n) of F (..., 1 + 2 n, dim) at the states of `around`."""
+    n = values.shape[-2] // 2
+    slopes: np.ndarray = values[..., 1 : n + 1, :] - values[..., n + 1 :, :]
+    slopes /= 2.0 * _steps(n)[1, 0]
+    return slopes.swapaxes(-1, -2)
+
+
+@cache
+def _steps(n: int) -> np.ndarray:
+    step = 6e-6  # [rad or m] the cube root of the rounding error, of values about 1
+    return step * np.concatenate([np.zeros((1, n)), np.eye(n), -np.eye(n)])
+
+
+def in_place(function: Any) -> Any:
+    """Return a function that numba compiled in the form (q, out); others as they are."""
+    python = getattr(function, "py_func", None)
+    if python is None or len(inspect.signature(python).parameters) == 2:
+        return function
+    import numba
+
+    @numba.njit
+    def filled(q, out):
+        out[:] = function(q)
+
+    return filled
 
 
 def machine_code(residual: Any, jacobian: Any) -> Any:
@@ -223,7 +293,7 @@ def machine_code(residual: Any, jacobian: Any) -> Any:
     from numba import carray, types
 
     words, pointers = [types.int64] * 3, [types.CPointer(types.float64)] * 5
-    by_differences, step = jacobian is None, 6e-6
+    by_differences, step = jacobian is None, float(_steps(1)[1, 0])
     derivative_of = residual if by_differences else jacobian
 
     @numba.cfunc(types.int64(*words, *pointers))

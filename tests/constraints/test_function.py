@@ -31,8 +31,13 @@ GOAL = np.array([0.5, -0.785, 0.5, -2.356, 0.0, 1.571, 0.785])
 
 
 @numba.njit
-def compiled_circle(q, out):
-    out[0] = q[0] ** 2 + (q[2] - 0.5) ** 2 - 0.25
+def compiled_circle(q):
+    return np.array([q[0] ** 2 + (q[2] - 0.5) ** 2 - 0.25])
+
+
+@numba.njit
+def first_joint(q, out):
+    out[0] = q[0]
 
 
 @pytest.fixture(scope="module")
@@ -96,8 +101,26 @@ def test_compiled_and_torch_functions_are_the_python_function(panda):
             np.testing.assert_allclose(*ends, atol=1e-7)
 
 
+def test_without_a_jacobian_a_projection_calls_python_hardly_more_often_than_it_steps(panda):
+    calls = []
+
+    def counted(q):
+        calls.append(len(np.atleast_2d(q)))
+        return on_circle(q)
+
+    one_by_one = FunctionConstraint(1, lambda q: on_circle(q.reshape(7)))
+    own = pickle.loads(pickle.dumps(circle))
+    own._function = counted
+    for q in panda.random_configurations(np.random.default_rng(0), 20):
+        end = RegionConstraint(panda, (own,)).project(q)
+        np.testing.assert_allclose(end, RegionConstraint(panda, (one_by_one,)).project(q))
+    # 98 Newton steps; F alone at both ends of a projection, else with 14 states around it
+    assert calls.count(15) <= 100 and calls.count(1) <= 42 + 2
+
+
 def test_the_certificate_evaluates_the_python_function_of_a_compiled_one(around_the_pole):
-    lying = FunctionConstraint(1, numba.njit(compiled_circle.py_func))
+    lying = FunctionConstraint(1, first_joint)
+    assert lying.own_residual(HOME) == lying.residual(HOME)
     lying.own_residual = lambda q: np.ones((len(q), 1))
     problem = around_the_pole.changed(constraint=(lying,))
     reasons = certify(problem, JointPath(np.array([HOME, HOME]))).reasons
