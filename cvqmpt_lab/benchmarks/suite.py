@@ -21,7 +21,7 @@ def folder_suite(folder: Path) -> Suite:
     """Return the problems of a folder as a suite with the folder's name.
 
     `suite_named` finds it by full path. The digest of a problem is the sha256 of its file and of
-    all files that it names: scene, clouds, meshes, URDF, SRDF.
+    all files that it names: scene, clouds, meshes, URDF, SRDF; and the source of its functions.
 
     Hidden files, json schemas for editors, expectations of `cvqmpt check-tables` and scenes that a
     problem of the folder names are left out.
@@ -56,6 +56,8 @@ def folder_suite(folder: Path) -> Suite:
             digest.update(content_digest(str(other)).encode())
         for _, content in problem.robot.files:
             digest.update(content.encode())
+        for function in problem.manifold.functions:
+            digest.update(function.code.encode())
         # keep a problem whose name is unchanged: `changed` validates the whole problem again
         problems[name] = problem if name == problem.name else problem.changed(name=name)
         digests[name], paths[name] = digest.hexdigest(), file

@@ -68,6 +68,8 @@ def record(
     # the json names the robot's file; shapes, masses and limits are in that file and its meshes
     for _, sha256 in robot.files:
         stated.update(sha256.encode())
+    for function in problem.manifold.functions:  # the json has its address
+        stated.update(function.code.encode())
     numbers = {
         "max_violation_rad": certificate.max_violation_rad,
         "max_violation_m": certificate.max_violation_m,

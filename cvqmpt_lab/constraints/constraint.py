@@ -50,6 +50,11 @@ class Constraint(ABC):
         """Return how the user's code is called, in words, timed at q (n,); "" without such code."""
         return ""
 
+    @property
+    def code(self) -> str:
+        """Source of the user's own code, for digests; "" without such code."""
+        return ""
+
     def bound_between(self, states: np.ndarray) -> np.ndarray | None:
         """Return how far F can stray on straight motions between neighbours of states (k, n).
 

@@ -91,6 +91,12 @@ class FunctionConstraint(Constraint):
         entries = "1 entry" if self.dim == 1 else f"{self.dim} entries"
         return f"{self.name} = 0 ({entries} [{self.units}])"
 
+    @property
+    def code(self) -> str:
+        """Source of F, its Jacobian and a bound that is a function, with their names."""
+        given = self._function, self._derivative, self._bound
+        return "".join(source_of(one) for one in given if callable(one))
+
     def price(self, q: np.ndarray, calls: int = 20) -> str:
         """Return how F is called, in words, with its time at q (n,), the best of three times."""
         slopes = "; Jacobian by central differences" if self.by_differences else ""
@@ -245,6 +251,24 @@ class FunctionConstraint(Constraint):
         return np.allclose(together, alone, equal_nan=True)
 
 
+def source_of(function: Any) -> str:
+    """Return module, name and source of a function, or its bytes where no file has the source."""
+    own = inspect.unwrap(getattr(function, "py_func", function))
+    named = own if hasattr(own, "__qualname__") else type(own)
+    try:
+        source = inspect.getsource(named)
+    except (OSError, TypeError):
+        source = _code_text(getattr(named, "__code__", None))
+    return f"{named.__module__}:{named.__qualname__}\n{source}"
+
+
+def _code_text(code: Any) -> str:
+    """Return instructions, names and constants of a code object."""
+    if not hasattr(code, "co_code"):
+        return repr(code)
+    return f"{code.co_code.hex()} {code.co_names} {[*map(_code_text, code.co_consts)]}"
+
+
 def differences(function: Evaluated, q: np.ndarray) -> np.ndarray:
     """Return dF/dq by central differences, (dim, n) or (b, dim, n) of q (n,) or (b, n)."""
     moved = around(q)
@@ -350,6 +374,7 @@ def torch_constraint(
             with torch.no_grad():
                 return (call(x) if q.ndim == 1 else several(x)).numpy()
 
+        evaluated.__wrapped__ = call  # type: ignore[attr-defined] # whose source it has
         return evaluated
 
     name = name or getattr(function, "__name__", "F")

@@ -169,14 +169,15 @@ class JumpingConstraint(RegionConstraint):
 
     F_i(q) = x_i - c_i outside the bounds of row i with their centre c_i, and 0 inside. The set
     F = 0 is that of `RegionConstraint`, but Newton's method aims at the centre and stops at the
-    first state inside the bounds. Only OMPL's planners project so; others end at the bounds.
+    first state inside the bounds. A row with one bound has no centre: c_i is that bound. Only
+    OMPL's planners project so; others end at the bounds.
     """
 
     @staticmethod
     def jumped(residual: np.ndarray, regions: Regions) -> np.ndarray:
         """Return F (m,) of the signed distances (m,) of x outside the bounds [m, rad]."""
         half = 0.5 * (regions.upper - regions.lower)
-        return residual + np.sign(residual) * half
+        return residual + np.sign(residual) * np.where(np.isfinite(half), half, 0.0)
 
 
 def stack_regions(robot: Robot, among: Sequence[Member], shrink: float = 0.0) -> Regions:

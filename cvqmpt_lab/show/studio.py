@@ -365,8 +365,8 @@ def _mover_of(body: Body) -> str:
 
 def state_of(response: Response) -> str:
     """State of a response as html: a word and a colour, and why there is no path."""
-    why = f": {response.message}" if response.message else f", {1e3 * response.seconds:.0f} ms"
-    return _badge(response.verdict, why)
+    took = f", {1e3 * response.seconds:.0f} ms{response.gap}"
+    return _badge(response.verdict, f": {response.message}" if response.message else took)
 
 
 def _badge(word: str, why: str = "") -> str:

@@ -86,6 +86,14 @@ class Response:
         return self.solution.path if self.solution else None
 
     @property
+    def gap(self) -> str:
+        """What of the constraint is not proven between states, after "; "; else ""."""
+        certificate = self.solution and self.solution.certificate
+        return (
+            f"; {certificate.constraint_gap}" if certificate and certificate.constraint_gap else ""
+        )
+
+    @property
     def drawn(self) -> Iterator[tuple[str, np.ndarray, Colour]]:
         """Points of `sampled_hands` for the planner of the request."""
         trees = self.solution.plan.trees if self.solution else ()
@@ -293,9 +301,7 @@ class Studio:
             case "problem":
                 return "problem.json", json_text(response.problem.to_dict()).encode()
             case "page":
-                solution = response.solution
-                gap = solution and solution.certificate and solution.certificate.constraint_gap
-                verdict = f"certified path of {response.planner}{'; ' if gap else ''}{gap or ''}"
+                verdict = f"certified path of {response.planner}{response.gap}"
                 return "plan.html", path_html(response.problem, path.states, verdict).encode()
             case "picture":
                 return "plan.png", png_of(response.solution) or b""

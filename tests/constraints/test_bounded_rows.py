@@ -10,7 +10,8 @@ from refusals import refused
 from cvqmpt_lab.benchmarks.declarations import SUITES
 from cvqmpt_lab.constraints.centre_of_mass import CentreOfMass
 from cvqmpt_lab.constraints.joint_coupling import JointCoupling
-from cvqmpt_lab.constraints.region_constraint import RegionConstraint
+from cvqmpt_lab.constraints.region_constraint import JumpingConstraint, RegionConstraint
+from cvqmpt_lab.constraints.regions import no_regions
 from cvqmpt_lab.constraints.task_space_region import upright
 from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.problem import PlanningProblem
@@ -68,6 +69,12 @@ def test_wrong_polygons_joints_and_robots_without_masses_are_refused(talos, slid
     refused("a factor other than 0", JointCoupling, {"a": 0.0})
     refused("lower <= upper", JointCoupling, {"a": 1.0}, 1.0, 0.0)
     assert replace(CentreOfMass(SQUARE), margin=0.1).on(talos).describe().endswith("0.1 m inside")
+
+
+def test_the_published_jump_aims_at_the_only_bound_of_a_row():
+    rows = no_regions()._replace(lower=np.array([-np.inf, -1.0]), upper=np.array([2.0, 3.0]))
+    for residual, jumped in (([0.5, -0.5], [0.5, -2.5]), ([0.0, 0.0], [0.0, 0.0])):
+        np.testing.assert_equal(JumpingConstraint.jumped(np.array(residual), rows), jumped)
 
 
 def test_they_stand_in_problem_files_and_their_paths_are_proven():

@@ -89,6 +89,7 @@ def test_with_a_bound_a_function_is_proven_between_states(around_the_pole):
 
 def test_compiled_and_torch_functions_are_the_python_function(panda):
     torch_circle = torch_constraint(1, on_circle, name="circle")
+    assert torch_circle.code.count("def on_circle") == 2  # F and its Jacobian
     compiled = FunctionConstraint(1, compiled_circle)
     draws = panda.random_configurations(np.random.default_rng(0), 20)
     for own in (torch_circle, compiled):
@@ -99,6 +100,20 @@ def test_compiled_and_torch_functions_are_the_python_function(panda):
         for q in draws:
             ends = [RegionConstraint(panda, (one,)).project(q) for one in (circle, own)]
             np.testing.assert_allclose(*ends, atol=1e-7)
+
+
+def test_a_function_is_known_by_its_source():
+    def other(q):
+        return on_circle(q) + 0.0
+
+    own = {}
+    for text in ("q[:1]", "q[1:2]"):
+        exec(f"def F(q): return {text}", own)
+        own[text] = FunctionConstraint(1, own["F"]).code
+    codes = [FunctionConstraint(1, one).code for one in (on_circle, other, compiled_circle)]
+    assert len({*codes, own["q[:1]"], own["q[1:2]"]}) == 5
+    assert codes[0] == pickle.loads(pickle.dumps(FunctionConstraint(1, on_circle))).code
+    assert codes[0].startswith("own_constraints:on_circle\ndef on_circle(q):")
 
 
 def test_without_a_jacobian_a_projection_calls_python_hardly_more_often_than_it_steps(panda):

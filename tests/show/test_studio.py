@@ -97,6 +97,9 @@ def test_an_obstacle_in_the_start_is_named_and_the_path_stays(fresh):
     assert f"<b>no path</b>: {html.escape(response.message)}" in state_of(response)
     response = fresh.wait(fresh.move_obstacle(item.name, item.T_world_object))
     assert response.verdict == "certified" and "earlier request" not in text_of(response)
+    certificate = replace(response.solution.certificate, constraint_states=7)
+    checked = replace(response, solution=replace(response.solution, certificate=certificate))
+    assert "constraint checked at 7 states, not proven between" in state_of(checked)
 
 
 @pytest.mark.parametrize("end", ["goal", "start"])
