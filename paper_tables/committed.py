@@ -12,6 +12,7 @@ from cvqmpt_lab.base.errors import CvqmptError, InvalidInputError, in_checkout
 from cvqmpt_lab.base.files import read_text
 from cvqmpt_lab.paper_tables import pages
 from cvqmpt_lab.paper_tables.claims import Evidence, judged_claims
+from cvqmpt_lab.paper_tables.metadata import metadata_files
 from cvqmpt_lab.paper_tables.quoted import Quoted, what_to_use
 from cvqmpt_lab.paper_tables.rendering import rendered_tables
 from cvqmpt_lab.paper_tables.statements import PUBLISHED
@@ -131,7 +132,7 @@ def with_part(text: str, part: str, table: str) -> str:
 
 
 def committed_pages(found: Mapping[str, Evidence]) -> dict[Path, str]:
-    """Return the page of claims and, in a checkout, README and docs/results.md, by path."""
+    """Return the page of claims and, in a checkout, README, results.md and metadata, by path."""
     claims = judged_claims(found)
     texts = {pages.PAGE: pages.page_text(found, claims, pages.PAGE.parent)}
     if in_checkout():
@@ -145,6 +146,7 @@ def committed_pages(found: Mapping[str, Evidence]) -> dict[Path, str]:
         for part, written in parts.items():
             text = with_part(text, part, written)
         texts[README] = text
+        texts |= metadata_files(found, README.parent)
     return texts
 
 

@@ -1,5 +1,6 @@
 """Tables of results directories in the paper's layout: Markdown, LaTeX and csv."""
 
+import shlex
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -9,9 +10,9 @@ from cvqmpt_lab.benchmarks.declarations import SUITES
 from cvqmpt_lab.paper_tables.layouts import place_table
 from cvqmpt_lab.paper_tables.statements import PublishedValue, read_published
 from cvqmpt_lab.paper_tables.table_engine import SuiteTable, rows_of_one_suite
-from cvqmpt_lab.paper_tables.writers import markdown_text
+from cvqmpt_lab.paper_tables.writers import markdown, markdown_text
 from cvqmpt_lab.results.provenance import ProvenanceFile, digests_in, sessions
-from cvqmpt_lab.results.row import ResultRow
+from cvqmpt_lab.results.row import RUNS_FILE, ResultRow
 from cvqmpt_lab.results.store import directory_rows
 
 
@@ -58,7 +59,9 @@ def rendered_tables(directory: Path) -> Rendered:
     notes = [str(line) for line in made.sections.get("Notes", ())]
     caption = f"{title}, {made.size}. In brackets: 95 % intervals. Bold: the best value."
     texts = {
-        "table.md": f"# {markdown_text(title)}\n\n{markdown_text(head)}\n\n{made.markdown}",
+        "table.md": f"# {markdown_text(title)}\n\n{markdown_text(head)}\n\n{made.markdown}"
+        + "\n"
+        + markdown({f"Sessions that made {RUNS_FILE}": [*map(session_text, sessions(record))]}),
         "table.tex": "".join(f"% {line}\n" for line in (head, *notes)) + made.latex(caption, label),
         "table.csv": made.csv,
     }
@@ -79,24 +82,32 @@ def _head(record: Mapping[str, Any], n_runs: int) -> str:
     models = [
         f"{name} {digest[:12]}" for name, digest in sorted(digests_in(record, "weights").items())
     ]
-    commits = [
-        (session.get("git_commit") or "unknown")[:12]
-        + (" WITH UNCOMMITTED CHANGES" if session.get("git_dirty") else "")
-        for session in made
-    ]
-    machines = [
-        f"{s.get('cpu_model') or 'unknown'}, {s.get('cpu_count') or '?'} cores" for s in made
-    ]
     return " · ".join(
         [
             _cutoffs(record),
-            f"commit {_distinct(commits)}",
+            f"commit {_distinct(map(_commit, made))}",
             *([f"weights {_distinct(models)}"] if models else []),
-            f"machine {_distinct(machines)}",
+            f"machine {_distinct(map(_machine, made))}",
             f"date {_distinct(str(s.get('date_utc') or 'unknown') for s in made)}",
             f"{n_runs} rows",
         ]
     )
+
+
+def session_text(session: Mapping[str, Any]) -> str:
+    """Return the command, commit, machine and date of a session of runs."""
+    command = shlex.join(session.get("command") or ["unknown"])
+    date = session.get("date_utc") or "unknown"
+    return f"`{command}`, commit {_commit(session)}, machine {_machine(session)}, date {date}"
+
+
+def _commit(session: Mapping[str, Any]) -> str:
+    changed = " WITH UNCOMMITTED CHANGES" if session.get("git_dirty") else ""
+    return (session.get("git_commit") or "unknown")[:12] + changed
+
+
+def _machine(session: Mapping[str, Any]) -> str:
+    return f"{session.get('cpu_model') or 'unknown'}, {session.get('cpu_count') or '?'} cores"
 
 
 def _cutoffs(record: Mapping[str, Any]) -> str:
