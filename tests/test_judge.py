@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from refusals import refused
 
 from cvqmpt_lab import JointState, Motion, TimingSettings, certified_motion, judge
 
@@ -32,6 +33,42 @@ def test_chunks_of_a_policy_are_judged_where_they_begin(plan, problem):
     assert kinds & {"manifold", "collision"} and judged.first_fault.kind in kinds
     elsewhere = JointState(state.positions + 0.02, *state[1:])
     assert judge(motion, problem, last=elsewhere).first_fault.kind == "current"
+
+
+def extended(plan, extra=("finger",)):
+    """The motion with more joints."""
+    columns = np.hstack([plan.positions, np.full((len(plan.times), len(extra)), 0.02)])
+    return (*plan.joint_names, *extra), columns, plan.times
+
+
+WRONG = {
+    r"is at -\S+, its limits are .* degrees\? Give radians": lambda plan: (
+        (plan.joint_names, np.degrees(plan.positions), plan.times)
+    ),
+    r"the motion lasts .* are its times in nanoseconds\? Give seconds": lambda plan: (
+        (plan.joint_names, plan.positions, 1e9 * plan.times)
+    ),
+    r"of point 1 repeats that of point 0: times must increase": lambda plan: (
+        (plan.joint_names, plan.positions, np.maximum(plan.times, plan.times[1]))
+    ),
+    r"of point 1 is before that of point 0: times must increase": lambda plan: (
+        (plan.joint_names, plan.positions, plan.times[::-1])
+    ),
+    r"it begins at -1 s": lambda plan: (plan.joint_names, plan.positions, plan.times - 1.0),
+    r"one point does not move": lambda plan: (
+        (plan.joint_names, plan.positions[:1], plan.times[:1])
+    ),
+    r"leave out 'finger', fixed joints or ones that follow": extended,
+    r"names joint 'panda_joint1' twice": lambda plan: extended(plan, ("panda_joint1",)),
+    r"the robot has .*: give the robot that was planned": lambda plan: (
+        (plan.joint_names[:6], plan.positions[:, :6], plan.times)
+    ),
+}
+
+
+@pytest.mark.parametrize("told", WRONG)
+def test_what_was_not_meant_is_one_line(plan, problem, told):
+    refused(told, judge, Motion(*WRONG[told](plan)), problem)
 
 
 def test_a_whole_motion_that_is_too_fast_has_a_speed(plan, problem):

@@ -159,6 +159,13 @@ WRONG = {
     "absolute_x_axis_tolerance is 'wide'": {"absolute_x_axis_tolerance": "wide"},
     "trajectory_constraints are not judged": {"trajectory_constraints": {"constraints": [{}]}},
     "goal_constraints is 3": {"goal_constraints": 3},
+    "group_name 'hand' moves none of the robot's joints": {"group_name": "hand"},
+    "start_state has joints 'elbow'; the robot has": {
+        "start_state": {"joint_state": {"name": ["elbow"], "position": [0.0]}}
+    },
+    "position 40 of panda_joint1 is outside its limits": {
+        "path_constraints": {"joint_constraints": [{"joint_name": "panda_joint1", "position": 40}]}
+    },
 }
 
 

@@ -81,7 +81,7 @@ def judge(
         exact_clearance: whether least distances are measured; this takes two to three times as
             long. Else they are lower bounds.
 
-    Raises InvalidInputError for joints of another robot, and for times that do not increase.
+    Raises InvalidInputError as `dry_run`.
     """
     if last is not None:
         ends = Ends(last.positions, start_velocity=last.velocities, part=True)

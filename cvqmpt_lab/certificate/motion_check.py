@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from cvqmpt_lab.base.errors import InvalidInputError
+from cvqmpt_lab.base.values import FULL_TURN_RAD
 from cvqmpt_lab.certificate.certificate import Certificate, Fault, FaultKind, certify
 from cvqmpt_lab.certificate.limit_use import (
     LIMIT_OVERSHOOT,
@@ -31,6 +32,7 @@ from cvqmpt_lab.geometry.polyline import step_lengths
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.frame_speeds import FrameSpeeds
 from cvqmpt_lab.robot.load import robot_from_source
+from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.search.result import JointPath
 from cvqmpt_lab.trajectory.trajectory import Motion, Trajectory
 
@@ -131,12 +133,15 @@ def dry_run(
         ends: begin and end of the motion; None: at rest, at the start and at a goal.
         exact_clearance: as in `certify`.
 
-    Raises InvalidInputError for joints of another robot, and for times that do not increase.
+    Raises InvalidInputError for joints of another robot, positions in degrees, and times that do
+    not increase.
     """
     ends = ends or Ends()
     motion = motion.of_joints(problem.robot.joint_names)
     states, robot = motion.positions, problem.robot
     usable = states.ndim == 2 and states.shape[1] == robot.dof and np.isfinite(states).all()
+    if usable and len(states):
+        _refuse_degrees(robot, states)
     faults = (
         _start_fault(problem, states[0], ends.current, ends.tolerance)
         if ends.current is not None and usable
@@ -203,6 +208,22 @@ def speed_within_limits(
         middle = (low + high) // 2
         low, high = (middle, high) if kept(middle) else (low, middle)
     return 0.01 * low if low else None
+
+
+def _refuse_degrees(robot: Robot, states: np.ndarray) -> None:
+    """Refuse states (m, n) that are far outside the joint limits, but inside them as degrees."""
+    hinges = ~robot.kinematics.prismatic[robot.kinematics.order[: robot.dof]]
+    beyond = np.maximum(robot.lower - states, states - robot.upper).max(axis=0)
+    turned = np.where(hinges, np.radians(states), states)
+    # joints may stand beyond their limits in a motion with a fault
+    inside = (turned >= robot.lower - 0.1) & (turned <= robot.upper + 0.1)
+    j = int(np.where(hinges, beyond, -np.inf).argmax())
+    if hinges[j] and beyond[j] > FULL_TURN_RAD and inside.all():
+        k = int(np.abs(states[:, j]).argmax())
+        raise InvalidInputError(
+            f"{robot.joint_names[j]} is at {states[k, j]:.4g}, its limits are "
+            f"{robot.lower[j]:.4g} to {robot.upper[j]:.4g}: degrees? Give radians"
+        )
 
 
 def _uses(

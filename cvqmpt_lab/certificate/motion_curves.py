@@ -44,10 +44,7 @@ def curves_of(
     for what, values in (("time", motion.times), ("velocity", v), ("acceleration", a)):
         if values is not None and not np.isfinite(values).all():
             raise InvalidInputError(f"a value of {what} is not finite")
-    if len(motion.times) < 2 or motion.times[0] < 0.0 or not (np.diff(motion.times) > 0.0).all():
-        raise InvalidInputError(
-            "times must begin at 0 or later and increase, at two points or more"
-        )
+    _check_times(motion.times)
     from scipy.interpolate import CubicSpline, PPoly
 
     times = motion.times - motion.times[0]
@@ -85,6 +82,30 @@ def curves_of(
         if gap <= 1e-9:
             del curves["quintic" if a is None else "cubic"]
         return curves, gap
+
+
+def _check_times(times: np.ndarray, longest: float = 1e5) -> None:
+    """Refuse times (m,) of a motion that do not increase, or are no seconds.
+
+    longest: duration beyond which they cannot be meant as seconds [s].
+    """
+    if len(times) < 2:
+        raise InvalidInputError("a trajectory of one point does not move: give two or more")
+    if times[0] < 0.0:
+        raise InvalidInputError(f"it begins at {times[0]:g} s: times begin at 0 or later")
+    steps = np.diff(times)
+    if not (steps > 0.0).all():
+        k = int((steps <= 0.0).argmax())
+        what = "repeats" if steps[k] == 0.0 else "is before"
+        raise InvalidInputError(
+            f"time {times[k + 1]:.9g} s of point {k + 1} {what} that of point {k}: times must "
+            "increase; leave one of two equal points out, or sort them"
+        )
+    if steps.sum() > longest:
+        unit = "nanoseconds" if steps.sum() > 1e3 * longest else "milliseconds or microseconds"
+        raise InvalidInputError(
+            f"the motion lasts {steps.sum():.3g} s: are its times in {unit}? Give seconds"
+        )
 
 
 def rates(curve: PPoly, order: int) -> np.ndarray:

@@ -32,9 +32,11 @@ from cvqmpt_lab.certificate.limit_use import Ends
 from cvqmpt_lab.constraints.task_space_region import FREE, TaskSpaceRegion
 from cvqmpt_lab.geometry.polyline import cut, nearest_places
 from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.robot.hulls import srdf_root
 from cvqmpt_lab.robot.joint_frames import poses_at_once
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.robot import FrameLimit, Robot
+from cvqmpt_lab.robot.source import read_source
 from cvqmpt_lab.scene.cloud_files import read_by_suffix
 from cvqmpt_lab.scene.moveit_scenes import field_of, listed, read_pose, read_primitive
 from cvqmpt_lab.scene.scene import Scene
@@ -217,6 +219,7 @@ def _request(message: Any, robot: Robot) -> MotionRequest:
             return _request(fields[key], robot)
     if "goal_constraints" not in fields and "path_constraints" not in fields:
         return MotionRequest(path=_conditions(fields, robot, ""))
+    _check_group(str(fields.get("group_name", "")), robot)
     for key in ("trajectory_constraints", "reference_trajectories"):
         held = fields.get(key)
         if field_of(held, "constraints") or (isinstance(held, list) and held):
@@ -254,11 +257,33 @@ def _start(state: Any, robot: Robot) -> dict[str, float]:
             f"start_state.joint_state has {len(names)} names and {len(values)} positions"
         )
     both = zip(map(str, names), values, strict=True)
-    return {
+    found = {
         name: _number(value, f"start_state: {name}")
         for name, value in both
         if name in robot.joint_names
     }
+    if names and not found:
+        raise InvalidInputError(
+            f"start_state has joints {', '.join(map(shown, names))}; the robot has "
+            f"{', '.join(robot.joint_names)}: give the robot that was planned"
+        )
+    return found
+
+
+def _check_group(name: str, robot: Robot) -> None:
+    """Refuse the group of a request if the robot's SRDF says that it moves other joints."""
+    path = read_source(robot.source).srdf
+    for group in srdf_root(Path(path)).iterfind("group") if path else ():
+        if group.get("name") != name or {child.tag for child in group} - {"joint", "chain"}:
+            continue  # which joints a group of links or groups moves is not looked up
+        joints = {joint.get("name") for joint in group.iter("joint")}
+        tips = [str(chain.get("tip_link")) for chain in group.iter("chain")]
+        moved = [tip for tip in tips if tip in robot.frame_names and robot.link_of(tip)[0] > 0]
+        if not moved and not joints & {*robot.joint_names}:
+            raise InvalidInputError(
+                f"group_name {name!r} moves none of the robot's joints "
+                f"{', '.join(robot.joint_names)}: give the robot that was planned"
+            )
 
 
 def _conditions(message: Any, robot: Robot, where: str) -> Conditions:
@@ -291,6 +316,12 @@ def _joint(fields: Mapping[str, Any], robot: Robot) -> JointBounds:
     value = _number(fields.get("position"), "position")
     below = _number(fields.get("tolerance_below", 0.0), "tolerance_below")
     above = _number(fields.get("tolerance_above", 0.0), "tolerance_above")
+    j = robot.joint_names.index(name)
+    if value - below > robot.upper[j] or value + above < robot.lower[j]:
+        raise InvalidInputError(
+            f"position {value:.4g} of {name} is outside its limits {robot.lower[j]:.4g} to "
+            f"{robot.upper[j]:.4g}: degrees? Give radians, and the robot that was planned"
+        )
     return JointBounds(name, value - below, value + above)
 
 

@@ -120,10 +120,19 @@ class Motion:
         """Reorder the joints as in `names`; InvalidInputError if the joints are others."""
         if self.joint_names is None or self.joint_names == names:
             return self
-        if sorted(self.joint_names) != sorted(names):
+        given = list(self.joint_names)
+        if sorted(given) != sorted(names):
+            if repeated := [name for name in given if given.count(name) > 1]:
+                raise InvalidInputError(f"the file names joint {shown(repeated[0])} twice")
+            others = [name for name in given if name not in names]
+            cure = "give the robot that was planned"
+            if set(names) < set(given):
+                cure = (
+                    f"leave out {', '.join(map(shown, others))}, fixed joints or ones that follow"
+                )
             raise InvalidInputError(
-                f"the file moves joints {', '.join(map(shown, self.joint_names))}; the robot has "
-                f"{', '.join(names)}"
+                f"the file moves joints {', '.join(map(shown, given))}; the robot has "
+                f"{', '.join(names)}: {cure}"
             )
         order = [self.joint_names.index(name) for name in names]
         velocities, accelerations = (
@@ -246,8 +255,10 @@ def _from_csv(data: bytes) -> Motion:
         _ = [float(cell) for cell in rows[0]]
     except ValueError:
         header, lines = tuple(name.strip() for name in rows[0]), rows[1:]
+    if not lines:
+        raise InvalidInputError("it has a header, but no states under it")
     table = np.array([[_decimal(cell) for cell in row] for row in lines]).reshape(len(lines), -1)
-    if header is not None and lines and table.shape[1] != len(header):
+    if header is not None and table.shape[1] != len(header):
         raise InvalidInputError(f"{len(header)} names in its header, {table.shape[1]} values a row")
     if header is None or "time" not in header:
         return Motion(header, table)
@@ -367,6 +378,8 @@ def _refuse_unknown(where: str, value: Any, known: Sequence[str]) -> None:
 
 def _table(rows: list[list[float]]) -> np.ndarray:
     """States (m, n); ValueError if a value is no number or rows differ in length."""
+    if not rows:
+        raise InvalidInputError("it has no states: give two or more")
     table = numbers(rows, "states")
     if table.ndim != 2:
         raise ValueError(f"states of shape {table.shape}, give a list of lists of numbers")
