@@ -70,9 +70,13 @@ def one_pose(end_effector: str | None) -> TaskSpaceRegion:
     return TaskSpaceRegion(np.eye(4), np.eye(4), np.zeros((6, 2)), end_effector=end_effector)
 
 
-def has_fewer_than_6_dof(robot: Robot, region: TaskSpaceRegion) -> bool:
-    """Return whether fewer than 6 joints move the hand: random poses are almost never reachable."""
-    return int(robot.movers(robot.hand(region.end_effector)[0]).sum()) < 6
+def only_projected(robot: Robot, region: TaskSpaceRegion) -> bool:
+    """Return whether configurations of a region are found by projection from random ones alone.
+
+    No poses can be drawn in it, or fewer than 6 joints move the hand: random poses are almost never
+    reachable.
+    """
+    return not region.drawable or robot.movers(robot.hand(region.end_effector)[0]).sum() < 6
 
 
 def solve_poses(
@@ -213,16 +217,16 @@ def sample_region(
             moves its door to the hand.
         near: configuration (n,) around which seeds are drawn [rad or m]; None: uniform seeds.
         project: whether to project onto the region instead of reaching poses drawn in it; always
-            done if the hand `has_fewer_than_6_dof`.
+            done if the region is `only_projected`.
         tolerance: largest norm of F of the pose and the regions [m, rad].
         distinct: least distance of two configurations in a joint, whole turns aside [rad or m];
             None: the same one may be found again.
     """
-    anywhere = project or has_fewer_than_6_dof(robot, region)
+    anywhere = project or only_projected(robot, region)
     found: list[np.ndarray] = []
     unreachable = colliding = tried = 0
     while len(found) < count and tried < max_poses:
-        poses = region.sample_poses(rng, min(POSES_AT_ONCE, max_poses - tried))
+        poses = region.poses_or_frame(rng, min(POSES_AT_ONCE, max_poses - tried))
         guesses = first_guesses(robot, rng, len(poses), near)
         # as many poses at once as configurations are wanted: no more than needed are solved
         few = (slice(first, first + count) for first in range(0, len(poses), count))
@@ -305,7 +309,7 @@ def sample_goals(
     else:
         scattered = near + SEED_STD_RAD * rng.standard_normal((512, robot.dof))
         seeds = _seeds(robot, np.clip(scattered, robot.lower, robot.upper), region.end_effector)
-    T = region.sample_poses(rng, max_poses)
+    T = region.poses_or_frame(rng, max_poses)
     regions = stack_regions(robot, (one_pose(region.end_effector), *within))
     if project:
         # no pose is the one to start near to
@@ -432,8 +436,8 @@ def draw_goals(problem: GoalProblem) -> GoalSample:
     The start itself is the only goal where the region contains it. Goals depend on the problem's
     start, not on a seed: all planners get the same. Where the hand holds a door, goals have the
     door where the hand takes it, and a posture like the start's: most others require letting go.
-    Configurations are projected onto region and constraint where the hand `has_fewer_than_6_dof`,
-    or where no goal at a drawn pose satisfies the constraint.
+    Configurations are projected onto region and constraint where the region is `only_projected`, or
+    where no goal at a drawn pose satisfies the constraint.
     """
     region = problem.goal_region
     assert region is not None
@@ -462,7 +466,7 @@ def near_goals(problem: GoalProblem, most: int = 4) -> np.ndarray:
     )
     regions = stack_regions(robot, (region, *problem.constraint), REGION_INSET)
     found = reached(regions, region.T0_w[None], [problem.start])
-    if not np.ptp(region.Bw, axis=1).any():
+    if not (region.drawable and np.ptp(region.Bw, axis=1).any()):
         return found  # a region of one pose has no other
     regions = stack_regions(robot, (one_pose(region.end_effector), *problem.constraint))
     T = region.sample_poses(problem.random_stream(0), POSES_AT_ONCE)
@@ -531,7 +535,7 @@ def goals_in_any_posture(problem: GoalProblem, count: int = MAX_GOALS) -> GoalSa
     if problem.closed_chain:
         # few postures of two hands come near to that of the start
         sampled = partial(_near_and_far, problem, rng, count)
-    if not has_fewer_than_6_dof(problem.robot, region):
+    if not only_projected(problem.robot, region):
         drawn = sampled(within=held)
         # a region of one pose has no other
         if _on_manifold(problem, drawn.configurations).any() or not np.ptp(region.Bw, axis=1).any():

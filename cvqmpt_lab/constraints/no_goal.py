@@ -12,8 +12,8 @@ from cvqmpt_lab.constraints.goals import (
     POSE_TOLERANCE,
     POSES_AT_ONCE,
     first_guesses,
-    has_fewer_than_6_dof,
     one_pose,
+    only_projected,
     solve_poses,
 )
 from cvqmpt_lab.constraints.named import rpy_of, upper_axis
@@ -44,8 +44,8 @@ def why_none(
         constraint: regions and functions that hold at the same time.
     """
     rng = np.random.default_rng(0)
-    T = region.sample_poses(rng, POSES_AT_ONCE)
-    anywhere = has_fewer_than_6_dof(robot, region)
+    T = region.poses_or_frame(rng, POSES_AT_ONCE)
+    anywhere = only_projected(robot, region)
     found = solve_poses(robot, region, T, first_guesses(robot, rng, len(T)), anywhere=anywhere)
     missed = T[[len(rows) == 0 for rows in found]]
     reasons = [contradiction(robot, constraint)]
@@ -53,12 +53,13 @@ def why_none(
         # the hand gets there, perhaps not with what holds on to it
         chains = [member for member in constraint if isinstance(member, TaskSpaceRegionChain)]
         reasons += [_open_chain(robot, region, member, rng) for member in chains]
-    if len(missed) and not any(reasons):
+    if len(missed) and not any(reasons) and region.drawable:
         reasons.append(_reach(robot, region, missed, rng, checker, constraint))
     for member in regions_of(constraint):
         # few drawn poses say nothing of turns that are all free, nor of the other hand
         if (
-            (region.bounded_rows > 2).any()
+            region.drawable
+            and (region.bounded_rows > 2).any()
             and not isinstance(member, TaskSpaceRegionChain)
             and robot.frame(member.end_effector) is robot.hand(region.end_effector)
         ):
@@ -83,8 +84,10 @@ def _apart(
     """Return the smallest residual of all members at once, as text."""
     ends = first_guesses(robot, rng, POSES_AT_ONCE)
     T = np.broadcast_to(region.T0_w, (len(ends), 4, 4))
-    solve_poses(robot, region, T, ends, others)
+    solve_poses(robot, region, T, ends, others, anywhere=not region.drawable)
     states = ends.reshape(-1, robot.dof)
+    if not region.drawable:
+        return f"region: {_cannot_hold(robot, region, (region, *others), states)}"
     off = np.linalg.norm(RegionConstraint(robot, (region, *others)).residual(states), axis=1)
     return (
         f"pose and constraint are {off.min():.2g} rad or m apart at best, at most "
@@ -99,8 +102,8 @@ def _open_chain(
     rng: np.random.Generator,
 ) -> str:
     """Return the smallest closure error found, as text; "" if a closed configuration was found."""
-    T, guesses = region.sample_poses(rng, POSES_AT_ONCE), first_guesses(robot, rng, POSES_AT_ONCE)
-    if any(map(len, solve_poses(robot, region, T, guesses, (member,)))):
+    T, guesses = region.poses_or_frame(rng, POSES_AT_ONCE), first_guesses(robot, rng, POSES_AT_ONCE)
+    if any(map(len, solve_poses(robot, region, T, guesses, (member,), not region.drawable))):
         return ""
     return _cannot_hold(robot, member, (region, member), guesses.reshape(-1, robot.dof)) + " there"
 

@@ -199,6 +199,18 @@ class TaskSpaceRegion(Checked):
             Bw=frozen(moved[:6]), tilt=tilt, distance=distance, radius=radius, bearing=bearing
         )
 
+    @property
+    def drawable(self) -> bool:
+        """Whether poses can be drawn in it; in others, projections of configurations end."""
+        beside = any(it is not None for it in (self.distance, self.radius, self.bearing))
+        return not beside and bool(np.isfinite(self.Bw[:3]).all())
+
+    def poses_or_frame(self, rng: np.random.Generator, count: int) -> np.ndarray:
+        """Draw poses as `sample_poses`; copies of T0_w (count, 4, 4) if it is not drawable."""
+        if self.drawable:
+            return self.sample_poses(rng, count)
+        return np.tile(self.T0_w, (count, 1, 1))
+
     def sample_poses(self, rng: np.random.Generator, count: int) -> np.ndarray:
         """Draw poses T0_w T(x) Tw_e (count, 4, 4), x uniform in the bounds, free rotations in +-pi.
 

@@ -10,11 +10,13 @@ from cvqmpt_lab.benchmarks.family_task import other_robot_problem
 from cvqmpt_lab.benchmarks.place_task import place_problem
 from cvqmpt_lab.constraints.goals import (
     SAMPLE_MARGIN_M,
+    goals_in_any_posture,
     goals_of,
     near_goals,
     sample_goals,
     sample_region,
 )
+from cvqmpt_lab.constraints.named import distance, on_sphere
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.problem import PlanningProblem
@@ -190,6 +192,18 @@ def test_a_start_in_the_goal_region_is_the_goal_and_the_path_is_empty(panda, wid
         assert solution.solved and solution.path.length == 0.0
         assert solution.plan.detail == "the start is a goal: the path is empty"
         assert solution.plan.counters.state_checks == 0
+
+
+def test_goals_of_a_distance_are_projections_of_random_configurations(problem):
+    sphere = on_sphere((0.5, 0.0, 0.4), 0.3)
+    asked = replace(problem, goals=np.empty((0, 7)), goal_region=sphere)
+    goals = goals_in_any_posture(asked).configurations
+    assert len(goals) >= 15 and apart(goals) > 0.1
+    off = problem.robot.poses(goals)[:, :3, 3] - [0.5, 0.0, 0.4]
+    np.testing.assert_allclose(np.linalg.norm(off, axis=1), 0.3, atol=1e-4)
+    far = distance((3.0, 4.0))
+    failed = solve(replace(asked, goal_region=far), "birrt", Budget(iterations=1), seed=0)
+    assert "region: it cannot be kept: the best of" in "".join(failed.report("birrt"))
 
 
 def test_goals_near_the_start_leave_room_for_other_postures(problem):
