@@ -14,7 +14,7 @@ from cvqmpt_lab.base.codec import from_plain
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.base.files import csv_table, read_json_object, write_text
 from cvqmpt_lab.base.values import Array, FloatArray
-from cvqmpt_lab.certificate.judge import ClearanceAt, Judgement, clearance_along, judge
+from cvqmpt_lab.certificate.judge import ClearanceAt, Judgement, clearance_along, evenly, judge
 from cvqmpt_lab.certificate.limit_use import Ends, LimitUse, share_text
 from cvqmpt_lab.certificate.motion_check import dry_run, with_limits_of
 from cvqmpt_lab.certificate.record import record, report_lines
@@ -47,6 +47,9 @@ from cvqmpt_lab.trajectory.trajectory import Motion, read_motion
 
 def run(args: argparse.Namespace) -> int:
     """Certify and print; return 1 if anything is refused or not proven."""
+    if args.path.is_dir() and not is_bag(args.path):
+        why = "goes with one motion; give its file"
+        refuse_given(args, ["clearance_out", "save", "request", "scene"], why)
     if (args.path / "task.json").is_file():
         return _certify_task(args)
     if args.path.is_dir() and not is_bag(args.path):
@@ -78,12 +81,21 @@ def _told(
 ) -> int:
     """Print a judgement; return the exit code."""
     contents = record(problem, motion, judged.check, judged.speed)
+    lines, check = report_lines(judged.check, contents), judged.check
+    shown = args.clearance_out is not None or args.save is not None
+    if shown and not np.isfinite(check.states).all():
+        raise InvalidInputError(
+            "the motion has states that are not finite: leave --clearance-out and --save out"
+        )
     if args.clearance_out is not None:
-        if not np.isfinite(judged.check.states).all():
-            raise InvalidInputError("--clearance-out: the motion has states that are not finite")
-        rows = clearance_along(problem, judged.check)
+        rows = clearance_along(problem, check)
         write_text(args.clearance_out, csv_table([ClearanceAt._fields, *rows]))
-    lines = report_lines(judged.check, contents)
+    if args.save is not None:
+        from cvqmpt_lab.show.web_page import path_html  # needed for pages alone
+
+        moments, states = evenly(check, 200)
+        times, verdict = (None if check.times is None else moments), lines[0].partition(";")[0]
+        write_text(args.save, path_html(problem, states, verdict, times=times, lines=lines))
     print(json.dumps(contents, indent=1, allow_nan=False) if args.json else "\n".join(lines))
     return 0 if judged.certified else 1
 
@@ -258,6 +270,11 @@ OPTIONS: Options = {
         "time",
         type=partial(file_of_kind, "--clearance-out", (".csv",)),
         metavar="OUT.csv",
+    ),
+    "--save": option(
+        "write a page for a browser: the motion, its distances along time and this report",
+        type=partial(file_of_kind, "--save", (".html",)),
+        metavar="MOTION.html",
     ),
     "--current": option(
         "current configuration of the arm, in quotes [rad]; the motion must begin there",

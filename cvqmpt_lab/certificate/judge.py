@@ -53,13 +53,18 @@ def clearance_along(
     problem: PlanningProblem, check: DryRun, count: int = 200
 ) -> Iterator[ClearanceAt]:
     """Yield the distances at `count` states, evenly in time, or along a path without times."""
-    checker, states = problem.collision_checker(), check.states
-    marks = distances_along(states) if check.times is None else check.times
-    at = np.linspace(0.0, marks[-1], count)
-    for moment, q in zip(at.tolist(), states_at(states, marks, at), strict=True):
+    checker, (moments, states) = problem.collision_checker(), evenly(check, count)
+    for moment, q in zip(moments.tolist(), states, strict=True):
         obstacle, own = checker.nearest_obstacle(q), checker.nearest_of_itself(q)
         pairs = (str(found.pair or "") for found in (obstacle, own))
         yield ClearanceAt(moment, obstacle.distance, next(pairs), own.distance, next(pairs))
+
+
+def evenly(check: DryRun, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return `count` times of a checked motion, or lengths along a path, and the states there."""
+    marks = distances_along(check.states) if check.times is None else check.times
+    at = np.linspace(0.0, marks[-1], count)
+    return at, states_at(check.states, marks, at)
 
 
 def judge(

@@ -7,6 +7,7 @@ import json
 import math
 from base64 import b64encode
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -56,8 +57,10 @@ def path_html(
     verdict: str,
     carried: Sequence[Attachment] = (),
     most_states: int = 400,
+    times: np.ndarray | None = None,
+    lines: Sequence[str] = (),
 ) -> str:
-    """Text of an html page, as `save_page` writes it, for a valid path.
+    """Text of an html page, as `save_page` writes it, for a path or the states of a motion.
 
     Args:
         problem: the problem that the path solves.
@@ -65,18 +68,19 @@ def path_html(
         verdict: last part of the title, e.g. "certified path of birrt".
         carried: objects drawn in the hand if the problem has no attachments.
         most_states: a path of more states is resampled to this number, at equal distances.
+        times: (m,) of at most `most_states` states, evenly [s]; None: a path has none.
+        lines: text below the drawing; empty: that of the problem.
     """
-    return _html(
-        drawing_of_problem(
-            problem,
-            JointPath(states),
-            carried,
-            most_states,
-            plots=True,
-            verdict=verdict,
-            lines=repr(problem).splitlines(),
-        )
+    drawing = drawing_of_problem(
+        problem,
+        JointPath(states),
+        carried,
+        most_states,
+        plots=True,
+        verdict=verdict,
+        lines=lines or repr(problem).splitlines(),
     )
+    return _html(drawing if times is None else replace(drawing, times=times))
 
 
 def _html(drawing: Drawing, size: tuple[int, int] = (1100, 600)) -> str:

@@ -341,8 +341,12 @@ def test_positions_with_times_are_judged_as_spline_and_as_lines(judged, trajecto
 
 
 def test_clearance_along_time_is_written(judged, trajectory, tmp_path):
-    out = tmp_path / "clearance.csv"
-    _, found = judged(as_csv(trajectory), options=["--clearance-out", str(out)])
+    out, page = tmp_path / "clearance.csv", tmp_path / "motion.html"
+    files = ["--clearance-out", str(out), "--save", str(page)]
+    _, found = judged(as_csv(trajectory), options=files)
+    shown = page.read_text()
+    assert "certificate certified" in shown and f"{trajectory.duration:.1f} s" in shown
+    assert '"title": "clearance [mm]"' in shown
     head, *rows = (line.split(",") for line in out.read_text().splitlines())
     assert head == ["at", "obstacles_m", "obstacles", "itself_m", "itself"] and len(rows) == 200
     assert float(rows[-1][0]) == trajectory.duration
