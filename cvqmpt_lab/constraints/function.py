@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from cvqmpt_lab.base.errors import InvalidInputError
+from cvqmpt_lab.base.errors import CvqmptError, InvalidInputError
+from cvqmpt_lab.base.modules import described
 from cvqmpt_lab.base.values import frozen
 from cvqmpt_lab.constraints.constraint import Constraint, Evaluated
 from cvqmpt_lab.constraints.regions import FunctionRows
@@ -169,13 +170,19 @@ class FunctionConstraint(Constraint):
         if self._bound is None:
             return None
         if callable(self._bound):
-            return np.array([float(self._bound(a, b)) for a, b in pairwise(states)])
+            try:
+                return np.array([float(self._bound(a, b)) for a, b in pairwise(states)])
+            except Exception as error:
+                raise InvalidInputError(
+                    f"constraint {self.name}: bound raises {described(error)}; it takes two states "
+                    "(n,) and returns a number"
+                ) from error
         return 0.5 * self._bound * step_lengths(states)
 
     def reraise(self) -> None:
         """Raise what Python code raised inside compiled code; functions of numba raise nothing."""
         if not self.compiled:
-            super().reraise()
+            self._told(self._function, super().reraise)
 
     @property
     def rows(self) -> FunctionRows:
@@ -206,12 +213,23 @@ class FunctionConstraint(Constraint):
             return self.load, self.source
         return super().__reduce_ex__(protocol)
 
-    @staticmethod
-    def _filled(function: Any, q: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    def _told(self, function: Any, call: Callable[..., Any], *given: np.ndarray) -> Any:
+        """Return call(*given); an error of a user's function names it."""
+        try:
+            return call(*given)
+        except CvqmptError:
+            raise
+        except Exception as error:
+            what = "its Jacobian" if function is self._derivative else "F"
+            raise InvalidInputError(
+                f"constraint {self.name}: {what} raises {described(error)}"
+            ) from error
+
+    def _filled(self, function: Any, q: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
         """Return what a function (q, out) of one state writes, for q (n,) or (b, n)."""
         out = np.empty((*q.shape[:-1], *shape))
         for one, row in zip(np.atleast_2d(q), out.reshape(-1, *shape), strict=True):
-            function(np.ascontiguousarray(one, dtype=float), row)
+            self._told(function, function, np.ascontiguousarray(one, dtype=float), row)
         return out
 
     def _called(self, function: Any, q: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
@@ -230,7 +248,7 @@ class FunctionConstraint(Constraint):
         if q.flags.writeable:  # a function that changes its argument is told so
             q = q.copy()
             q.flags.writeable = False
-        value = np.asarray(function(q), dtype=float)
+        value = self._told(function, lambda at: np.asarray(function(at), dtype=float), q)
         if value.shape == shape:
             return value
         if value.size != int(np.prod(shape)):

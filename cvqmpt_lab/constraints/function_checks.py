@@ -3,6 +3,7 @@
 import contextlib
 import io
 import threading
+import warnings
 
 import numpy as np
 
@@ -35,13 +36,9 @@ def check_function(function: FunctionMember, robot: Robot, start: np.ndarray) ->
     _first_call(function, what, start)
     draws = robot.random_configurations(np.random.default_rng(0), 20)
     states = np.concatenate([start[None], draws])
-    try:
+    with np.errstate(all="ignore"):  # the error says where it is not finite
         values, own = function.own_residual(states), function.residual(states)
         slopes, measured = function.jacobian(states), differences(function.own_residual, states)
-    except InvalidInputError:
-        raise
-    except Exception as error:
-        raise InvalidProblemError(f"{what}: F raises {described(error)}") from error
     for name, found in (("F", values), ("the Jacobian", slopes[:1])):
         finite = np.isfinite(found).reshape(len(found), -1).all(axis=1)
         if not finite.all():
@@ -79,12 +76,18 @@ def _first_call(
 
     def call() -> None:
         try:
+            warnings.simplefilter("ignore")  # each is shown once, not at every call
             function.own_residual(q)
         except BaseException as error:
             failed.append(error)
 
     thread = threading.Thread(target=call, daemon=True)
-    with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+    with (
+        contextlib.redirect_stdout(said),
+        contextlib.redirect_stderr(said),
+        warnings.catch_warnings(),
+    ):
+        warnings.simplefilter("ignore")  # each is shown once, not at every call
         thread.start()
         thread.join(seconds)
     if thread.is_alive():
@@ -92,10 +95,10 @@ def _first_call(
             f"{what}: F does not return within {seconds:g} s; a search calls it thousands of times"
         )
     if failed:
-        if isinstance(failed[0], InvalidInputError):
-            raise failed[0]
         if "read-only" in str(failed[0]):
             raise InvalidProblemError(f"{what}: F changes its argument; let it work on q.copy()")
+        if isinstance(failed[0], InvalidInputError):
+            raise failed[0]
         raise InvalidProblemError(f"{what}: F raises {described(failed[0])} at the start")
     if not np.array_equal(q, start):
         raise InvalidProblemError(f"{what}: F changes its argument; let it work on q.copy()")
@@ -141,7 +144,6 @@ def _refuse_small_bound(
                 f"{function.units} per rad at {_numbers(states[k])}"
             )
         return
-    assert bound is not None
     rng = np.random.default_rng(1)
     directions = rng.standard_normal(states.shape)
     directions *= 0.1 / np.linalg.norm(directions, axis=1, keepdims=True)
@@ -149,7 +151,7 @@ def _refuse_small_bound(
         between = np.linspace(a, b, 11)
         largest = np.abs(function.own_residual(between)).max(axis=1)
         beyond = largest.max() - max(largest[0], largest[-1])
-        said = float(bound(a, b))
+        (said,) = function.bound_between(np.array([a, b]))  # type: ignore[misc] # it has a bound
         if not said >= beyond - 1e-12:
             q = between[largest.argmax()]
             raise InvalidProblemError(

@@ -175,7 +175,14 @@ BAD = {
     "between two states is too small: F exceeds both ends by": FunctionConstraint(
         1, lambda q: np.cos(9.0 * q[..., :1]), bound=lambda a, b: 0.0
     ),
-    "raises ValueError: no manifold": FunctionConstraint(1, at_random),
+    "bound raises ZeroDivisionError: division by zero; it takes two states": FunctionConstraint(
+        1, lambda q: q[..., :1], bound=lambda a, b: 1 / 0
+    ),
+    "its Jacobian raises ValueError: no manifold": FunctionConstraint(
+        1, lambda q: q[..., :1], at_random
+    ),
+    "F is not finite at .0, -0.785": FunctionConstraint(1, lambda q: q[..., :1] / q[..., :1]),
+    "F raises ValueError: no manifold": FunctionConstraint(1, at_random),
     "prints 'here'": FunctionConstraint(1, talking),
     "changes its argument": FunctionConstraint(1, put),
 }
