@@ -14,7 +14,7 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from cvqmpt_lab.base.errors import InvalidInputError
+from cvqmpt_lab.base.errors import InvalidInputError, few
 from cvqmpt_lab.base.files import csv_table, make_folder, write_text
 from cvqmpt_lab.base.values import bound_text
 from cvqmpt_lab.benchmarks.declarations import SUITES
@@ -185,7 +185,7 @@ def _problem_or_task(args: argparse.Namespace) -> PlanningProblem | Task:
         return with_limits(args, motion_problem(args))
     if len(given) != 1 or motion_given(args) or args.scene:
         raise InvalidInputError(
-            f"name a suite ({', '.join(SUITES)}), or give --problem-file or --task-file, or "
+            f"name a suite ({few(SUITES, 3)}), or give --problem-file or --task-file, or "
             "--start and --goal, alone or with --cloud or --scene: one of the four; cvqmpt "
             "problems new mine.json --robot ur5 writes a first problem"
         )

@@ -285,7 +285,7 @@ def _tuple(parts: tuple[Any, ...], complete: bool) -> Reader:
 
     def read(value: Any, where: str) -> tuple:
         if not isinstance(value, list | tuple | np.ndarray):
-            raise InvalidInputError(f"{where} is {shown(value)}; it must be a list")
+            raise InvalidInputError(f"{where} is {shown(value)}; it must be a list, [...]")
         if not any_length and len(value) != len(each):
             raise InvalidInputError(f"{where} is {shown(value)}; it must be a list of {len(each)}")
         readers = each * len(value) if any_length else each

@@ -141,8 +141,8 @@ def _bounds(solution: Solution) -> str:
 
 def _status(solution: Solution) -> str:
     """Return the status, and the method that found the path if the planner has another name."""
-    plan, text = solution.plan, solution.status
-    if text != plan.status:
+    plan, text = solution.plan, solution.status.replace("_", " ")
+    if solution.status != plan.status:
         return f"{text} by the certificate"
     if plan.fallback:
         text += f" by {plan.fallback}"
@@ -151,6 +151,8 @@ def _status(solution: Solution) -> str:
         text += f": no path found within {plan.seconds:.3g} s and {iterations} iterations"
     if plan.status is PlanStatus.COST_LIMIT:
         text += f": no path found within the cost, after {plan.counters.iterations} iterations"
+    if plan.detail.startswith(text):
+        return plan.detail
     return f"{text} ({plan.detail})" if plan.detail else text
 
 

@@ -34,7 +34,7 @@ def test_a_cost_limits_search_and_improvement_without_a_clock(cvqmpt, problem_fi
     shorter = json.loads(cvqmpt(f"{words} --cost 100 --optimize 20 --json"))
     assert shorter["length_rad"] <= once["length_rad"]
     said = cvqmpt(f"{words} --cost 0.01", code=1)
-    assert "cost_limit: no path found within the cost" in said
+    assert "cost limit: no path found within the cost" in said
 
 
 def test_a_goal_that_collides_is_left_out_and_named(cvqmpt, capsys, problem_file, data, problem):
@@ -67,7 +67,7 @@ def test_the_planner_that_nobody_names_is_a_roadmap_but_where_the_hand_holds_a_d
 def test_plan_without_success_exits_with_1_and_writes_no_motion(cvqmpt, tmp_path):
     words = "plan place-task --problem 5 --planner birrt --iterations 1 --trajectory"
     out = cvqmpt(words, tmp_path / "motion.csv", code=1)
-    assert "iteration_limit: no path found within " in out and "trajectory  none" in out
+    assert "iteration limit: no path found within " in out and "trajectory  none" in out
     assert not (tmp_path / "motion.csv").exists()
 
 

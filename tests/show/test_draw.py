@@ -19,7 +19,7 @@ def test_all_values_have_a_text_of_at_most_five_lines(problem, solution, unsolve
         lines = repr(value).splitlines()
         assert 1 < len(lines) <= 5 and max(map(len, lines)) < 200, lines
     assert "20 goals" in repr(problem) and "rotation about y -0.1 to 0.1 rad" in repr(problem)
-    assert "certified" in repr(solution) and "iteration_limit" in repr(unsolved)
+    assert "certified" in repr(solution) and "iteration limit" in repr(unsolved)
 
 
 def test_notebooks_show_text_above_a_picture(problem):
