@@ -172,8 +172,8 @@ def json_object(text: str, what: str) -> dict[str, Any]:
         plain = _without_comments(text)
         begin = plain.strip().partition("\n")[0][:20]
         if begin and begin[0] not in "{[":
-            cure = 'write one object, {"name": value, ...}'
-            raise InvalidInputError(f"{what} is not json: it begins with {begin!r}; {cure}") from None
+            cure = f'it begins with {begin!r}; write one object, {{"name": value, ...}}'
+            raise InvalidInputError(f"{what} is not json: {cure}") from None
         if plain == text:
             raise
         data = json_value(plain, what)
