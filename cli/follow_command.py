@@ -12,7 +12,7 @@ from cvqmpt_lab.base.errors import InvalidInputError, located
 from cvqmpt_lab.base.files import csv_table, read_text, write_text
 from cvqmpt_lab.base.poses import Placement
 from cvqmpt_lab.base.values import bound_text
-from cvqmpt_lab.cli.options import SEED, Options, file_of_kind, numbers, option
+from cvqmpt_lab.cli.options import SEED, Options, file_of_kind, one_or_two, option
 from cvqmpt_lab.cli.problem_arguments import chosen_robot, configuration
 from cvqmpt_lab.cli.problem_options import ROBOT
 from cvqmpt_lab.planning.follow_lines import follow_lines, timed
@@ -28,7 +28,7 @@ def run(args: argparse.Namespace) -> int:
     robot = chosen_robot(args)
     scene = Scene("free space", ()) if args.scene is None else read_scene(args.scene)
     start = None if args.start is None else configuration(robot, "--start", args.start)
-    poses, (metres, radians) = poses_of(args.poses), args.tolerance
+    poses, (metres, radians, *_) = poses_of(args.poses), (*args.tolerance, 0.01)
     legs = follow_lines(robot, scene, poses, metres, radians, start, args.seed)
     states = np.concatenate([legs[0].path.states, *(leg.path.states[1:] for leg in legs[1:])])
     lines = [
@@ -75,14 +75,6 @@ def poses_of(path: Path) -> list[np.ndarray]:
     return found
 
 
-def _tolerance(text: str) -> list[float]:
-    """Return the tolerances of --tolerance [m, rad]."""
-    given = numbers("--tolerance", text)
-    if len(given) > 2 or min(given) <= 0.0:
-        raise InvalidInputError(f"--tolerance {text!r}: write M or M,RAD, above 0")
-    return [*given, 0.01][:2]
-
-
 OPTIONS: Options = {
     "poses": option(
         "poses of the end effector in order, one a line: x, y, z and roll, pitch, yaw, or a "
@@ -99,8 +91,8 @@ OPTIONS: Options = {
     "--tolerance": option(
         "largest distance from the lines, and largest angle from the orientation interpolated "
         "along them (0.002,0.01)",
-        type=_tolerance,
-        default=[0.002, 0.01],
+        type=partial(one_or_two, "--tolerance", "M or M,RAD, above 0"),
+        default=[0.002],
         metavar="M[,RAD]",
     ),
     "--out": option(

@@ -168,11 +168,25 @@ def numbers(option: str, text: str, names: Sequence[str] = ()) -> list[float]:
     return found
 
 
-class ProgressBar:
-    """Progress bar with the time left, on standard error; outside a terminal a line per tenth."""
+def one_or_two(option: str, form: str, text: str) -> list[float]:
+    """Return the one or two numbers above 0 of an option; form: how they are written."""
+    found = numbers(option, text)
+    if len(found) > 2 or min(found) <= 0.0:
+        raise InvalidInputError(f"{option} {text!r}: write {form}")
+    return found
 
-    def __init__(self, label: str) -> None:
-        self._label, self._began, self._first = label, time.perf_counter(), 0
+
+class ProgressBar:
+    """Progress bar with the time left, on standard error; outside a terminal a line per tenth.
+
+    Args:
+        label: name of the work.
+        heading: line that is logged before the bar is shown first; "": none.
+    """
+
+    def __init__(self, label: str, heading: str = "") -> None:
+        self._label, self._heading = label, heading
+        self._began, self._first = time.perf_counter(), 0
         self._terminal = sys.stderr.isatty()
         self._tenth = -1
 
@@ -180,6 +194,8 @@ class ProgressBar:
         """Show that `done` of `total` steps are made."""
         if self._tenth < 0:
             self._first, self._tenth = done, 0
+            if self._heading:
+                log(self._heading)
         elapsed = time.perf_counter() - self._began
         made = done - self._first
         left = f"{elapsed / made * (total - done):.0f} s left" if made else "estimating"

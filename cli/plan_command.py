@@ -1,5 +1,6 @@
 """Options of `cvqmpt plan` and `cvqmpt studio`, whose functions are in `plan_runs`."""
 
+from functools import partial
 from pathlib import Path
 
 from cvqmpt_lab.benchmarks.suite_parts import Imported, PlannerGroups
@@ -36,11 +37,6 @@ OPTIMIZE_S = 0.25
 RECORDING_SUFFIX = ".rrd"
 FILM_SUFFIX = ".gif"
 PAGE_SUFFIX = ".html"
-
-
-def _savable(name: str) -> Path:
-    """Return the path of a file with a suffix that --save can write."""
-    return file_of_kind("--save", (PAGE_SUFFIX, RECORDING_SUFFIX, FILM_SUFFIX), Path(name))
 
 
 OPTIONS: Options = {
@@ -87,7 +83,7 @@ OPTIONS: Options = {
         ),
         "--save": option(
             "a page for a browser, a rerun recording, or a film",
-            type=_savable,
+            type=partial(file_of_kind, "--save", (PAGE_SUFFIX, RECORDING_SUFFIX, FILM_SUFFIX)),
             metavar="RUN.html|rrd|gif",
         ),
         **bodies_option(),

@@ -17,6 +17,7 @@ from cvqmpt_lab.cli.options import (
     Options,
     not_negative,
     numbers,
+    one_or_two,
     option,
     positive,
     positive_int,
@@ -39,14 +40,6 @@ def _limits(option: str, text: str) -> float | list[float]:
     """Return the numbers of an option of limits, or a single one."""
     limits = numbers(option, text)
     return limits[0] if len(limits) == 1 else limits
-
-
-def _tool_speed(text: str) -> list[float]:
-    """Return the speed, and perhaps the turning speed, of --tool-speed."""
-    speeds = numbers("--tool-speed", text)
-    if len(speeds) > 2 or min(speeds) <= 0.0:
-        raise InvalidInputError(f"--tool-speed {text!r}: write V or V,W, above 0 [m/s, rad/s]")
-    return speeds
 
 
 def _locked_joint(text: str) -> tuple[str, float]:
@@ -153,7 +146,7 @@ PROBLEM: Options = {
         "largest speed of the end effector, and perhaps its largest turning speed (unlimited, or "
         "'frame_limits' of the robot in the file): motions keep it, certificates check it, --speed "
         "does not scale it [m/s, rad/s]",
-        type=_tool_speed,
+        type=partial(one_or_two, "--tool-speed", "V or V,W, above 0 [m/s, rad/s]"),
         metavar="V[,W]",
     ),
     "--constraint": option(

@@ -44,6 +44,7 @@ from cvqmpt_lab.cli.options import (
     one_of,
     option,
     positive_int,
+    refuse_given,
     writable_file,
 )
 from cvqmpt_lab.cli.problem_arguments import (
@@ -76,10 +77,8 @@ def run(args: argparse.Namespace) -> None:
         "urdf": ("new",),
     }
     for name, actions in goes_with.items():
-        if getattr(args, name) and args.action not in actions:
-            raise InvalidInputError(
-                f"--{name} goes with {' or '.join(actions)}, not with {args.action}"
-            )
+        if args.action not in actions:
+            refuse_given(args, [name], f"goes with {' or '.join(actions)}, not with {args.action}")
     ACTIONS[args.action](args)
 
 

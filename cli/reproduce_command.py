@@ -92,7 +92,7 @@ def run(args: argparse.Namespace) -> None:
     )
     out, jobs = args.out or Path("runs") / suite.name, args.jobs or default_jobs()
     compile_kernels(compiling())
-    bar = _announced(duration_line(experiment, jobs), ProgressBar(suite.name))
+    bar = ProgressBar(suite.name, duration_line(experiment, jobs))
     with executor_for(experiment, jobs, args.dask) as executor:
         run_experiment(experiment, out, executor, own_command(), bar)
     show_tables(out)
@@ -124,18 +124,6 @@ def duration_line(experiment: Experiment, jobs: int) -> str:
     )
 
 
-def _announced(line: str, show: Callable[[int, int, str], None]) -> Callable[[int, int, str], None]:
-    """Return a progress function that prints a line before its first call, after all refusals."""
-    lines = [line]
-
-    def announced(done: int, total: int, note: str) -> None:
-        while lines:
-            log(lines.pop())
-        show(done, total, note)
-
-    return announced
-
-
 class OverallProgress:
     """Progress bars of consecutive experiments; their notes estimate the time left for all.
 
@@ -151,9 +139,11 @@ class OverallProgress:
         item = suite_named(experiment.suite).item(experiment.problems[0])
         return 20 if isinstance(item, Task) else 1
 
-    def bar(self, name: str, experiment: Experiment) -> Callable[[int, int, str], None]:
+    def bar(
+        self, name: str, experiment: Experiment, heading: str = ""
+    ) -> Callable[[int, int, str], None]:
         """Return the bar of the next experiment; runs of earlier sessions take no time."""
-        bar, weight, shown = ProgressBar(name), self._weight(experiment), -1
+        bar, weight, shown = ProgressBar(name, heading), self._weight(experiment), -1
 
         def show(done: int, total: int, note: str) -> None:
             nonlocal shown
@@ -182,7 +172,7 @@ def _reproduce_all(args: argparse.Namespace) -> None:
     for name, experiment, command in parts:
         folder = out / name
         command += ["--profile", args.profile, "--jobs", str(jobs), "--out", str(folder)]
-        bar = _announced(duration_line(experiment, jobs), overall.bar(name, experiment))
+        bar = overall.bar(name, experiment, duration_line(experiment, jobs))
         with executor_for(experiment, jobs) as executor:
             run_experiment(experiment, folder, executor, command, bar)
         render_directory(folder)

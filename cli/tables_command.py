@@ -4,7 +4,6 @@ import argparse
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from cvqmpt_lab.base.errors import InvalidInputError, in_checkout
 from cvqmpt_lab.base.files import write_bytes, write_text
@@ -35,6 +34,15 @@ from cvqmpt_lab.paper_tables.committed import (
     stale_pages,
     untraceable,
 )
+from cvqmpt_lab.paper_tables.compare_runs import (
+    Rule,
+    Side,
+    against,
+    clear,
+    compared_sides,
+    comparison_lines,
+    planners_of_one,
+)
 from cvqmpt_lab.paper_tables.rendering import render_directory
 from cvqmpt_lab.paper_tables.writers import text_lines
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE
@@ -46,8 +54,6 @@ def show_tables(directory: Path, baseline: str | None = None) -> None:
 
     baseline: planner with which the others are compared, in lines that are printed only.
     """
-    from cvqmpt_lab.paper_tables.compare_runs import against, comparison_lines
-
     found = against(directory_rows(directory), baseline) if baseline else []
     written = render_directory(directory)
     title, *lines = written.brief
@@ -92,13 +98,6 @@ def report(args: argparse.Namespace) -> None:
 
 def compare(args: argparse.Namespace) -> int:
     """Pair two runs, or two planners, on the same problems and print what differs."""
-    from cvqmpt_lab.paper_tables.compare_runs import (
-        clear,
-        compared_sides,
-        comparison_lines,
-        planners_of_one,
-    )
-
     a, b = args.before, args.after
     found, unlike = compared_sides(a, b), a.unlike(b)
     alone: tuple[list[str], list[str]] = ([], [])
@@ -127,20 +126,6 @@ def compare(args: argparse.Namespace) -> int:
     for line in broken:
         print(f"fails: {line}")
     return 1 if broken else 0
-
-
-def _side(text: str) -> Any:
-    """Return one side of a comparison, FOLDER or FOLDER:PLANNER."""
-    from cvqmpt_lab.paper_tables.compare_runs import Side
-
-    return Side.read(text)
-
-
-def _rule(text: str) -> Any:
-    """Return the rule of one --fail-if."""
-    from cvqmpt_lab.paper_tables.compare_runs import Rule
-
-    return Rule.read(text)
 
 
 def claims(args: argparse.Namespace) -> None:
@@ -313,19 +298,19 @@ REPORT: Options = {
 }
 COMPARE: Options = {
     "before": option(
-        "a results directory, or one planner in it: FOLDER:PLANNER", type=_side, metavar="A"
+        "a results directory, or one planner in it: FOLDER:PLANNER", type=Side.read, metavar="A"
     ),
     "after": option(
         "another of the same suite, or FOLDER:PLANNER, also of the same folder; the runs that both "
         "have are compared",
-        type=_side,
+        type=Side.read,
         metavar="B",
     ),
     "--fail-if": option(
         "exit with 1 if COLUMN OP NUMBER is true for a planner, such as 'time > 1.1', or if B "
         "lacks a planner of A; COLUMN: time, work, checks, projections, length (ratio B/A) or "
         "solved (B - A, percentage points); OP: <, <=, > or >=; repeatable",
-        type=_rule,
+        type=Rule.read,
         metavar="RULE",
         **REPEATED,
     ),

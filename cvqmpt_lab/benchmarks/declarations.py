@@ -503,7 +503,7 @@ def _executed_suite() -> Suite:
         name="executed",
         title="Executed in simulation",
         problems=range(120),
-        make=_problem("executed:executed_problem"),
+        make=_problem("place_task:executed_problem"),
         planners=("birrt",),
         table=_table(
             "layouts:group_table",

@@ -2,20 +2,24 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.base.poses import rigid
 from cvqmpt_lab.base.values import FULL_TURN_RAD
-from cvqmpt_lab.constraints.task_space_region import Axis
+from cvqmpt_lab.constraints.task_space_region import Axis, axis_vector, nearest_axis
 from cvqmpt_lab.robot.hulls import coal_hull
-from cvqmpt_lab.robot.load import opening_sign, robot_from_source, with_gripper
+from cvqmpt_lab.robot.load import (
+    gripper_joints,
+    opening_sign,
+    robot_from_source,
+    with_gripper,
+)
 from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.robot.source import PANDA_FINGER_OPENING_M, read_source
-from cvqmpt_lab.robot.urdf import Joint, read_urdf
+from cvqmpt_lab.robot.source import PANDA_FINGER_OPENING_M
+from cvqmpt_lab.robot.urdf import Joint
 from cvqmpt_lab.scene.coal_shapes import coal_shape, shape_distance
 from cvqmpt_lab.scene.shapes import Box
 
@@ -63,15 +67,8 @@ def hold_of(source: Mapping[str, Any]) -> Grip:
 
 def _fingers(source: Mapping[str, Any]) -> list[Joint]:
     """Return the joints of the URDF that move behind the arm's last joint."""
-    robot, given = robot_from_source(source), read_source(source)
-    urdf = read_urdf(Path(given.urdf), given.package_dirs)
-    last = robot.joint_names[-1]
-    behind = [
-        joint
-        for joint in urdf.joints.values()
-        if joint.name != last and last in [above.name for above in urdf.chain(joint.child)]
-    ]
-    free = [joint for joint in behind if joint.immovable_reason is None]
+    robot = robot_from_source(source)
+    free = [joint for joint in gripper_joints(robot) if joint.immovable_reason is None]
     sliders = [joint.name for joint in free if joint.kind == "prismatic"]
     if len(sliders) > 1:
         moving = with_gripper(robot)
@@ -126,15 +123,13 @@ def outward(robot: Robot, end_effector: str | None = None) -> Axis:
         away = T[2, :3] * (-1.0 if corners.mean(axis=0) @ T[2, :3] > 0.0 else 1.0)
         if np.abs(corners).max() > 0.08:
             away = corners.flat[np.abs(corners).argmax()] * np.eye(3)[np.abs(corners).argmax() % 3]
-    k = int(np.argmax(np.abs(away)))
-    return get_args(Axis)[2 * k + (away[k] < 0.0)]
+    return nearest_axis(away)
 
 
 def _frame(axis: Axis, turned: bool) -> np.ndarray:
     """Return R_hand_handle (3, 3): x is the axis, y one of the two axes across it."""
-    k = "xyz".index(axis[-1])
-    x = np.eye(3)[k] * (-1.0 if axis[0] == "-" else 1.0)
-    y = np.eye(3)[(k + 1 + turned) % 3]
+    x = axis_vector(axis)
+    y = np.eye(3)[("xyz".index(axis[-1]) + 1 + turned) % 3]
     return np.stack([x, y, np.cross(x, y)], axis=1)
 
 

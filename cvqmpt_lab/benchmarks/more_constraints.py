@@ -34,7 +34,7 @@ def _ahead(robot: Robot, q: np.ndarray, rng: np.random.Generator) -> Member:
 
 def _from_shoulder(robot: Robot, q: np.ndarray, rng: np.random.Generator) -> Member:
     """The hand keeps its distance from the frame of the second joint within 1 cm."""
-    second = np.flatnonzero(robot.kinematics.moves[:, robot.end_effector_link[0]])[1]
+    second = np.flatnonzero(robot.kinematics.moves[:, robot.hand()[0]])[1]
     base = next(name for name in robot.frame_names if robot.link_of(name)[0] == second + 1)
     far = np.linalg.norm(robot.pose(q)[:3, 3] - robot.pose(q, base)[:3, 3])
     return region("distance", bounds=[max(far - 0.01, 0.0), far + 0.01], base=base)

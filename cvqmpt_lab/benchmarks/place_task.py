@@ -32,7 +32,7 @@ import numpy as np
 from cvqmpt_lab.base.codec import to_plain
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.base.poses import pose, rigid
-from cvqmpt_lab.benchmarks.item import UnsolvableProblem
+from cvqmpt_lab.benchmarks.item import ExecutedProblem, Solvable, UnsolvableProblem
 from cvqmpt_lab.benchmarks.kitchen import kitchen
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.goals import (
@@ -50,7 +50,7 @@ from cvqmpt_lab.constraints.task_space_region import (
     upright_box,
 )
 from cvqmpt_lab.problem import PlanningProblem, shared_checker
-from cvqmpt_lab.results.row import PAPER_PHASES, FailReason
+from cvqmpt_lab.results.row import PAPER_PHASES, FailReason, phase_problem
 from cvqmpt_lab.robot.load import PANDA_FINGER_OPENING_M, panda, robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.articulation import take_out
@@ -471,3 +471,32 @@ def _multi_sequence(number: int, start: np.ndarray, shift: np.ndarray) -> Task:
             Release("put-down", open_fingers),
         ),
     )
+
+
+def executed_problem(index: int) -> ExecutedProblem | UnsolvableProblem:
+    """Return motion or task number index // 2, at full speed (even index) or half speed (odd).
+
+    Numbers below 50 are motions; task k has number 50 + k.
+
+    Each is executed by two controllers; one of them does not know the load in the hand.
+    """
+    motions = 50  # larger numbers are tasks
+    number, at_half_speed = divmod(index, 2)
+    speed = 0.5 if at_half_speed else 1.0
+    if number < motions:
+        kind, first_group = "motion", 1
+        problem: Solvable | UnsolvableProblem = place_problem(number, with_can=True)
+    else:
+        kind, first_group = "task", 5
+        problem = multi_sequence_task(number - motions)
+    if isinstance(problem, UnsolvableProblem):
+        return UnsolvableProblem(str(index), problem.reason, problem.kind)
+    kind = f"{kind}, speed {speed:g}"
+    group = first_group + 2 * at_half_speed
+    controllers = {
+        phase_problem(str(index), group, kind): "computed-torque",
+        phase_problem(str(index), group + 1, f"{kind}, load unknown"): (
+            "computed-torque-unknown-load"
+        ),
+    }
+    return ExecutedProblem(str(index), problem, speed, controllers)

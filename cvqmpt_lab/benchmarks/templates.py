@@ -180,7 +180,7 @@ def _solved(problem: PlanningProblem, blocked: bool) -> bool:
 
 def _axes(robot: Robot) -> list[Axis]:
     """Return axes of the end effector that may point up, first that of a tool pointing down."""
-    _, T_link_hand = robot.end_effector_link
+    _, T_link_hand = robot.hand()
     outward = T_link_hand[2, :3] * (-1.0 if T_link_hand[2, 3] < 0.0 else 1.0)
     down = np.eye(4)
     down[2, :3] = -outward

@@ -8,7 +8,7 @@ import json
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, get_args
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -30,6 +30,8 @@ from cvqmpt_lab.constraints.task_space_region import (
     TaskSpaceRegion,
     TaskSpaceRegionChain,
     Tolerance,
+    axis_vector,
+    nearest_axis,
     symmetric_region,
     upright,
     upright_box,
@@ -42,9 +44,7 @@ HAND_FIELD = "end_effector"  # of a region, names its hand
 
 def upper_axis(T_world_hand: np.ndarray) -> Axis:
     """Return the axis of the end effector at a pose (4, 4) that points up most."""
-    up = T_world_hand[2, :3]
-    k = int(np.argmax(np.abs(up)))
-    return get_args(Axis)[2 * k + (up[k] < 0.0)]
+    return nearest_axis(T_world_hand[2, :3])
 
 
 def fixed_orientation(
@@ -123,7 +123,7 @@ def relative_pose(
     turned, bounds, tilt = np.eye(4), [position] * 3 + [rotation] * 3, None
     if about is not None:
         # w and e turned, so that z is the axis
-        turned, bounds, tilt = _along((0.0, 0.0, 0.0), _direction(about)), bounds[:3], rotation
+        turned, bounds, tilt = _along((0.0, 0.0, 0.0), axis_vector(about)), bounds[:3], rotation
         bounds += [FREE] * 3
     Bw = frozen(np.array([[-bound, bound] for bound in bounds]))
     return TaskSpaceRegionChain(at @ turned, turned.T, Bw, tilt=tilt, base=base)
@@ -140,7 +140,7 @@ def look_at(
         axis: axis along which the end effector looks.
         distance: smallest and largest distance of the point from its origin [m]; None: any.
     """
-    ahead = _along((0.0, 0.0, 0.0), _direction(axis))  # turned, so that z is the axis
+    ahead = _along((0.0, 0.0, 0.0), axis_vector(axis))  # turned, so that z is the axis
     free = symmetric_region(pose(point), ahead.T, [FREE] * 6)
     return TaskSpaceRegion(free.T0_w, free.Tw_e, free.Bw, bearing=angle, distance=distance)
 
@@ -218,11 +218,6 @@ def centre_of_mass(
     return CentreOfMass(corners, margin)
 
 
-def _direction(axis: Axis) -> Vector:
-    x, y, z = (-1.0 if axis[0] == "-" else 1.0) * np.eye(3)["xyz".index(axis[-1])]
-    return x, y, z
-
-
 # function by name: `{"upright": {...}}`, or `{"upright": 0.1}` with its first parameter alone
 NAMED_REGIONS: Mapping[str, Any] = {
     "upright": upright,
@@ -250,7 +245,7 @@ def region(name: str, **fields: Any) -> Any:
     return RegionForm(with_functions=True).read({name: fields}, "")
 
 
-def _along(point: Vector, direction: Vector) -> np.ndarray:
+def _along(point: Vector, direction: Vector | np.ndarray) -> np.ndarray:
     """Return a frame (4, 4) at a point whose z axis points along a direction."""
     if not any(direction):
         raise InvalidInputError("the direction is 0, 0, 0")

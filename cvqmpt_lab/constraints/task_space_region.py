@@ -5,7 +5,7 @@ from __future__ import annotations  # so `help` shows forms by their names
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, get_args
 
 import numpy as np
 
@@ -39,6 +39,17 @@ UNITS = np.array([*["m"] * 3, *["rad"] * 4, "m", "m", "rad"], dtype=object)
 ROWS_TEXT = (
     "6 rows [lower, upper]: position x, y, z [m], rotation vector x, y, z [rad]; null = free"
 )
+
+
+def axis_vector(axis: Axis) -> np.ndarray:
+    """Return the unit vector (3,) of an axis of a frame."""
+    return (-1.0 if axis[0] == "-" else 1.0) * np.eye(3)["xyz".index(axis[-1])]
+
+
+def nearest_axis(vector: np.ndarray) -> Axis:
+    """Return the axis of a frame that is nearest to a vector (3,)."""
+    k = int(np.argmax(np.abs(vector)))
+    return get_args(Axis)[2 * k + (vector[k] < 0.0)]
 
 
 class BoundsForm:

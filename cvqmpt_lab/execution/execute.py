@@ -327,7 +327,7 @@ def _move_fingers(
 
 def _hand_pieces(arm: Robot) -> list[str]:
     """Names of the pieces of the hand's link, fingers included."""
-    row = arm.end_effector_link[0]
+    row = arm.hand()[0]
     return [piece.name for piece in arm.links if piece.link == row]
 
 

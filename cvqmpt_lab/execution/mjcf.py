@@ -146,7 +146,7 @@ def mjcf_of(robot: Robot, scene: Scene, physics: Physics | None = None) -> str:
         if physics is not None:
             density = 600.0 if bit is ContactBit.DOOR else 0.0  # of wood [kg/m^3]
             _touching(geom, bit, density=density)
-    row, T_link_hand = robot.end_effector_link
+    row, T_link_hand = robot.hand()
     _placed(links[row], HAND_SITE, T_link_hand[:3, :3], T_link_hand[:3, 3], "site")
     contact = SubElement(root, "contact")
     hidden = [f"piece_{k}" for k, piece in enumerate(robot.links) if piece.self_only]

@@ -20,7 +20,7 @@ from cvqmpt_lab.base.errors import (
     CvqmptError,
     InvalidInputError,
     RunStoreError,
-    UnknownChoiceError,
+    require_choice,
     shown,
 )
 from cvqmpt_lab.base.files import csv_table, read_text, write_text
@@ -230,9 +230,7 @@ class _Column(NamedTuple):
         if value is None and self.optional:
             return None
         if self.kind is FailReason:
-            if value not in list(FailReason):
-                raise UnknownChoiceError(self.name, value, FailReason)
-            return FailReason(value)
+            return FailReason(require_choice(self.name, value, list(FailReason)))
         value = scalar(self.kind, value, self.name)
         if self.kind is str and not (value and value.isprintable() and not _is_formula(value)):
             raise InvalidInputError(

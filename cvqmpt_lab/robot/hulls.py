@@ -26,7 +26,7 @@ from cvqmpt_lab.geometry.convex import (
     require_volume,
 )
 from cvqmpt_lab.robot.kinematics import Kinematics, link_poses
-from cvqmpt_lab.robot.robot import LeftOut, LinkGeometry, Robot, axis_frames, in_link
+from cvqmpt_lab.robot.robot import LeftOut, LinkGeometry, in_link
 from cvqmpt_lab.robot.urdf import Urdf
 
 # In coal 3.0 the first distance of a box in a process decides on which side all later boxes are
@@ -152,26 +152,6 @@ def link_geometry(item: pin.GeometryObject, frames: list[np.ndarray]) -> LinkGeo
     return LinkGeometry(item.name, link, T_link_geometry, vertices)
 
 
-def placed_in_link(
-    robot: Robot, frame: str, T_frame_body: np.ndarray
-) -> tuple[int, np.ndarray] | None:
-    """Return the pose row and (4, 4) placement of a body that is fixed to a link of the URDF.
-
-    Args:
-        robot: the robot.
-        frame: name of the link.
-        T_frame_body: (4, 4) pose of the body in the link's frame [m].
-
-    Returns:
-        None if the robot has no such link.
-    """
-    if not robot.model.existFrame(frame, pin.FrameType.BODY):
-        return None
-    found = robot.model.frames[robot.model.getFrameId(frame, pin.FrameType.BODY)]
-    placement = found.placement * pin.SE3(T_frame_body)
-    return in_link(axis_frames(robot.model), found.parentJoint, placement)
-
-
 def hull_vertices(shape: coal.CollisionGeometry) -> np.ndarray:
     """Return vertices (n, 3) [m] of a polytope that contains the shape; exact for hulls and boxes.
 
@@ -185,17 +165,13 @@ def hull_vertices(shape: coal.CollisionGeometry) -> np.ndarray:
         case coal.Sphere():
             return polytope_around_ball(shape.radius)
         case coal.Cylinder():
-            return _prism(shape.radius, shape.halfLength)
+            return prism_around(shape.radius, (-shape.halfLength, shape.halfLength), sides=24)
         case coal.Capsule():
-            return _prism(shape.radius, shape.halfLength + shape.radius)
+            half = shape.halfLength + shape.radius
+            return prism_around(shape.radius, (-half, half), sides=24)
     raise InvalidInputError(
         f"collision shape {type(shape).__name__} is not supported: use a mesh, box or cylinder"
     )
-
-
-def _prism(radius: float, half_length: float) -> np.ndarray:
-    """Vertices (48, 3) [m] of a prism around a cylinder along z, centred on its frame."""
-    return prism_around(radius, (-half_length, half_length), sides=24)
 
 
 def enclosing_points(shape: coal.CollisionGeometry) -> np.ndarray:

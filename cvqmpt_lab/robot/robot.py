@@ -13,7 +13,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from cvqmpt_lab.base.errors import InvalidInputError, few, require_choice
+from cvqmpt_lab.base.errors import InvalidInputError, UnknownChoiceError, few, require_choice
 from cvqmpt_lab.base.values import Condition, frozen
 from cvqmpt_lab.robot.kinematics import Kinematics
 
@@ -237,11 +237,6 @@ class Robot:
     def end_effector(self) -> str:
         """Name of the first end effector's frame."""
         return next(iter(self.end_effectors))
-
-    @property
-    def end_effector_link(self) -> tuple[int, np.ndarray]:
-        """Pose row of the first end effector's link, and T_link_frame (4, 4)."""
-        return next(iter(self.end_effectors.values()))
 
     def hand(self, end_effector: str | None = None) -> tuple[int, np.ndarray]:
         """Return the pose row of an end effector and T_link_frame (4, 4); None: the first."""
@@ -471,15 +466,12 @@ class Robot:
         """Return pinocchio's number of a body frame, or of the end effector for None."""
         name = frame or self.end_effector
         if not self.model.existFrame(name, pin.FrameType.BODY):
-            raise InvalidInputError(
-                f"robot {self.name} has no frame {name!r}; see `Robot.frame_names`"
-            )
+            raise UnknownChoiceError(f"frame of robot {self.name}", name, self.frame_names)
         return int(self.model.getFrameId(name, pin.FrameType.BODY))
 
     def link_of(self, frame: str) -> tuple[int, np.ndarray]:
         """Return the pose row that a body frame is fixed to, and T_link_frame (4, 4)."""
-        require_choice(f"frame of robot {self.name}", frame, self.frame_names)
-        body = self.model.frames[self.model.getFrameId(frame, pin.FrameType.BODY)]
+        body = self.model.frames[self.frame_id(frame)]
         return in_link(axis_frames(self.model), body.parentJoint, body.placement)
 
     @property

@@ -488,10 +488,16 @@ def prepare_bodies(root: ElementTree.Element, path: Path, visual: bool) -> Prepa
     Raises:
         InvalidInputError: a body, origin or axis is malformed; the message names link or joint.
     """
+    # parts of a link; simulators read others
+    known = ("inertial", "visual", "collision", "gazebo", "sensor", "contact", "material")
     placeholders, taken, bodiless, unknown = list[str](), list[str](), list[str](), list[str]()
     for link in root.findall("link"):
         name = link.get("name", "")
-        unknown += [f"<{part}> of {name}{_meant(part)}" for part in _unknown_parts(link)]
+        unknown += [
+            f"<{part.tag}> of {name}{nearest(part.tag, known[:3])}"
+            for part in link
+            if part.tag not in known
+        ]
         for body in link.findall("collision"):
             if not _is_body(body, f"link {shown(name)} of {path.name}, collision"):
                 link.remove(body)
@@ -515,16 +521,6 @@ def prepare_bodies(root: ElementTree.Element, path: Path, visual: bool) -> Prepa
     }
     notes = (f"{what}: {few(names)}" for what, names in remarks.items() if names)
     return Prepared(tuple(bodiless), tuple(notes))
-
-
-def _unknown_parts(link: ElementTree.Element) -> list[str]:
-    """Return the tags of a link's children that URDF does not have; simulators read some."""
-    known = ("inertial", "visual", "collision", "gazebo", "sensor", "contact", "material")
-    return [part.tag for part in link if part.tag not in known]
-
-
-def _meant(tag: str) -> str:
-    return nearest(tag, ("inertial", "visual", "collision"))
 
 
 def _is_body(body: ElementTree.Element, where: str, thinnest: float = 1e-4) -> bool:

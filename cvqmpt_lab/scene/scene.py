@@ -18,7 +18,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 
 from cvqmpt_lab.base.codec import Checked, from_plain
-from cvqmpt_lab.base.errors import InvalidInputError, UnknownChoiceError, at, shown, unique
+from cvqmpt_lab.base.errors import InvalidInputError, at, require_choice, shown, unique
 from cvqmpt_lab.base.poses import Pose, pose
 from cvqmpt_lab.base.values import Condition, FloatArray, Mass, Name
 from cvqmpt_lab.scene.shapes import ConvexMesh, Measured, OccupancyMap, PointCloud, Shape, Sphere
@@ -131,10 +131,8 @@ class Scene(Checked):
         )
 
     def __getitem__(self, name: str) -> SceneObject:
-        for item in self.objects:
-            if item.name == name:
-                return item
-        raise UnknownChoiceError(f"object of scene {self.name!r}", name, self.names)
+        found = {item.name: item for item in self.objects}
+        return found[require_choice(f"object of scene {self.name!r}", name, found)]
 
     def __contains__(self, name: object) -> bool:
         return name in self.names
@@ -154,11 +152,8 @@ class Scene(Checked):
 
     def articulation(self, name: str) -> Articulation:
         """Return the articulation `name`; UnknownChoiceError if there is none."""
-        for item in self.articulations:
-            if item.name == name:
-                return item
-        choices = [item.name for item in self.articulations]
-        raise UnknownChoiceError(f"articulation of scene {self.name!r}", name, choices)
+        found = {item.name: item for item in self.articulations}
+        return found[require_choice(f"articulation of scene {self.name!r}", name, found)]
 
     def with_objects(self, *objects: SceneObject) -> Scene:
         """Return a scene with these objects added at the end."""

@@ -5,14 +5,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 
 from cvqmpt_lab.base.caches import LruCache, cached_arrays, sources_digest
-from cvqmpt_lab.base.codec import to_plain
+from cvqmpt_lab.base.codec import Checked, to_plain
 from cvqmpt_lab.base.errors import InvalidInputError, whole_number
 from cvqmpt_lab.base.poses import rigid
-from cvqmpt_lab.base.values import FloatArray, frozen
+from cvqmpt_lab.base.values import Condition, FloatArray, Length, Padding, frozen
 from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.cells import seen_points
@@ -36,8 +37,8 @@ from cvqmpt_lab.sensing.crop import Crop
 from cvqmpt_lab.sensing.scan import voxel_means
 
 
-@dataclass(frozen=True, kw_only=True)
-class CameraSettings:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class CameraSettings(Checked):
     """Virtual cameras, and how their points become a cloud; defaults: as published."""
 
     cameras: tuple[Camera, ...] = cameras_on_sphere(
@@ -46,19 +47,11 @@ class CameraSettings:
     """Default: cameras of the published kitchen clouds."""
     obstacles_only: bool = False  # leave out objects that are not obstacles, such as the floor
     crop: Crop = field(default_factory=lambda: Crop(kind="box"))  # region of the points that stay
-    voxel: float | None = 0.025  # edge of cells in which points are averaged [m]; None: no cells
-    noise: float = 0.0  # standard deviation of noise added to every coordinate of the cloud [m]
+    voxel: Length | None = 0.025  # edge of cells in which points are averaged [m]; None: no cells
+    noise: Padding = 0.0  # standard deviation of noise added to every coordinate of the cloud [m]
     errors: DepthNoise | None = None  # errors of the depth images; None: exact depths
     # number of points, chosen at random and repeated if there are too few; None: all points
-    points: int | None = None
-
-    def __post_init__(self) -> None:
-        if self.voxel is not None and not self.voxel > 0.0:
-            raise InvalidInputError(f"voxel of {self.voxel} m: give more than 0, or None")
-        if self.points is not None and self.points < 1:
-            raise InvalidInputError(f"cloud of {self.points} points: give 1 or more, or None")
-        if not self.noise >= 0.0:
-            raise InvalidInputError(f"noise of {self.noise} m: give 0 or more")
+    points: Annotated[int, Condition(int, lambda n: n >= 1, "1 or more")] | None = None
 
     @classmethod
     def like_training(cls, points: int = 1024, noise: float = 0.003) -> "CameraSettings":

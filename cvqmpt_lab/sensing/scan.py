@@ -10,8 +10,9 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from cvqmpt_lab.base.codec import Checked
 from cvqmpt_lab.base.errors import InvalidInputError
-from cvqmpt_lab.base.values import FloatArray
+from cvqmpt_lab.base.values import FloatArray, Length, Padding
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.robot import Robot
@@ -39,8 +40,8 @@ class Arm(NamedTuple):
     q: FloatArray  # (n,) [rad or m]
 
 
-@dataclass(frozen=True, kw_only=True)
-class ScanSettings:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ScanSettings(Checked):
     """Settings of a scan."""
 
     level: bool = False  # find the camera's pose by levelling the table; needs one capture
@@ -48,18 +49,10 @@ class ScanSettings:
     highest: float = 1.5  # largest height of this camera above the table: the arm's reach [m]
     front: tuple[float, float, float] = (0.3, 0.0, 0.0)  # middle of the table's near edge [m]
     crop: Crop | None = None  # region of the points that stay; None: everywhere
-    voxel: float = 0.01  # edge of the cells in which points are averaged [m]
-    robot_margin: float = 0.05  # points within this distance of the robot are removed [m]
+    voxel: Length = 0.01  # edge of the cells in which points are averaged [m]
+    robot_margin: Padding = 0.05  # points within this distance of the robot are removed [m]
     neighbours: int = 2  # points with fewer others within three voxels are removed; 0: none
     plane: Literal["keep", "box", "remove"] = "keep"  # use of the supporting plane's points
-
-    def __post_init__(self) -> None:
-        if not self.voxel > 0.0:
-            raise InvalidInputError(f"voxel of {self.voxel} m: give more than 0")
-        if not self.robot_margin >= 0.0:
-            raise InvalidInputError(f"robot margin of {self.robot_margin} m: give 0 or more")
-        if self.neighbours < 0:
-            raise InvalidInputError(f"{self.neighbours} neighbours: give 0 or more")
 
 
 class Step(NamedTuple):

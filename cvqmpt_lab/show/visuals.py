@@ -12,7 +12,7 @@ import numpy as np
 from cvqmpt_lab.base.caches import cached_arrays, sources_digest
 from cvqmpt_lab.base.errors import InvalidInputError, few
 from cvqmpt_lab.base.poses import rigid, rotation_of_rpy
-from cvqmpt_lab.robot.hulls import placed_in_link, triangles_of_file
+from cvqmpt_lab.robot.hulls import triangles_of_file
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.robot.source import content_digest, mesh_path, read_source
 from cvqmpt_lab.robot.urdf import collada_unit, read_urdf
@@ -67,7 +67,7 @@ def drawn_pieces(robot: Robot) -> tuple[DrawnPiece, ...]:
     materials = {element.get("name"): element for element in root.findall("material")}
     for element in root.findall("link"):
         name, bodies = element.get("name", ""), element.findall("visual")
-        if bodies and placed_in_link(robot, name, np.eye(4)):
+        if bodies and name in robot.frame_names:
             try:
                 visuals[name] = [_visual(body, urdf, folders, materials) for body in bodies]
             except (InvalidInputError, ValueError, OSError) as error:
@@ -86,9 +86,10 @@ def drawn_pieces(robot: Robot) -> tuple[DrawnPiece, ...]:
             continue
         for k, visual in enumerate(own):
             body = shape_mesh(visual.shape) if visual.shape else meshes[visual.file]
-            placed = placed_in_link(robot, name, visual.T_frame_body)
-            if body is not None and placed is not None:
-                found.append(DrawnPiece(f"{name}_{k}", *placed, body, visual.colour))
+            if body is not None:
+                row, T_link_frame = robot.link_of(name)
+                placed = T_link_frame @ visual.T_frame_body
+                found.append(DrawnPiece(f"{name}_{k}", row, placed, body, visual.colour))
     if failed:
         why = next(iter(failed.values()))
         warnings.warn(f"drawn by collision hulls: {few(list(failed))} ({why})", stacklevel=2)

@@ -35,7 +35,7 @@ from cvqmpt_lab.base.errors import (
 )
 from cvqmpt_lab.base.values import Name
 from cvqmpt_lab.constraints.named import Region
-from cvqmpt_lab.constraints.task_space_region import Axis, TaskSpaceRegionChain
+from cvqmpt_lab.constraints.task_space_region import Axis, TaskSpaceRegionChain, axis_vector
 from cvqmpt_lab.robot.load import State, numbers_of, robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import (
@@ -82,8 +82,7 @@ class Slide(Checked):
     @property
     def translation(self) -> np.ndarray:
         """Translation (3,) of the hand in the end-effector frame [m]."""
-        sign = -1.0 if self.axis[0] == "-" else 1.0
-        return sign * self.distance * np.eye(3)["xyz".index(self.axis[-1])]
+        return self.distance * axis_vector(self.axis)
 
 
 @dataclass(frozen=True, eq=False)

@@ -193,7 +193,7 @@ def serial_chain(robot: Robot) -> SerialChain:
             f"robot {robot.name}: {names} mimic planned joints, which no network follows: lock the "
             "joints that they mimic, or plan without a network"
         )
-    hand, T = robot.end_effector_link
+    hand, T = robot.hand()
     offsets = np.zeros((robot.dof, 3))
     offsets[-1] = T[:3, 3]
     return SerialChain(
@@ -252,7 +252,7 @@ def near_obstacles(
         near_hand: maximum distance of the hand to a box around an obstacle [m].
     """
     robot = space.robot
-    link, T = robot.end_effector_link
+    link, T = robot.hand()
     rotations, translations = link_poses(robot.kinematics, configurations)
     hand = rotations[:, link] @ T[:3, 3] + translations[:, link]
     near = np.zeros(len(configurations), dtype=bool)

@@ -77,7 +77,7 @@ def network_codes(
             if sequence.finished:
                 codes += sequence.codes
                 polylines.append(np.vstack([query.start, nodes[list(sequence.codes)], goal]))
-    if predictor.each_code_once:
+    if not predictor.published:
         codes = list(dict.fromkeys(codes))
     return CodeProposal(
         query.uniform,

@@ -302,7 +302,7 @@ def learned(
         "oracle": partial(oracle_codes, encode),
     }
     predict = predictors.get(choice.predictor)
-    observe: Callable[[Scene], np.ndarray] | None = None
+    observe: Callable[[Scene], np.ndarray] | None = None  # ablations see no cloud, or another's
     rank: Callable[[Query, Observation], tuple[np.ndarray, Timings]] | None = None
     if predict is None:
         predictor = sequence_predictor(model, robot, choice.predictor == "published")
@@ -311,13 +311,14 @@ def learned(
         predict = partial(network_codes, predictor, choice.sequences == "all-beams", nodes)
         if choice.predictor == "transformer-lines":
             predict = partial(lines_to_predicted_goals, predict)
-        if choice.cloud == "own-cloud":
-            observe = observer()
-        elif choice.cloud == "no-cloud":
-            observe = _no_points
-        elif other_scene is not None:
-            observe = partial(_cloud_of, other_scene)
-        else:
+        clouds: dict[str, Callable[[Scene], np.ndarray]] = {
+            "own-cloud": observer(),
+            "no-cloud": lambda scene: np.empty((0, 3)),
+        }
+        if other_scene is not None:
+            clouds["other-cloud"] = lambda scene: observer(4096)(other_scene)
+        observe = clouds.get(choice.cloud)
+        if observe is None:
             raise InvalidInputError(
                 f"{name}: other-cloud needs another scene; choose own-cloud or no-cloud"
             )
@@ -363,16 +364,6 @@ def _host(choice: SamplerChoice) -> tuple[Search, tuple[Budget, ...]]:
     if ranked:
         return search_in_ompl, tries
     return search_in_ompl, (GOAL_LIMIT,) if choice.goals == "goals-apart" else ()
-
-
-def _no_points(scene: Scene) -> np.ndarray:
-    """Return no points (0, 3), as an ablation of the cloud."""
-    return np.empty((0, 3))
-
-
-def _cloud_of(other_scene: Scene, scene: Scene) -> np.ndarray:
-    """Return the cloud (4096, 3) [m] of another scene, as an ablation of the cloud."""
-    return observer(4096)(other_scene)
 
 
 def mpnet(robot: Robot, model: str, bridged: bool = False, in_ompl: bool = False) -> Stages:

@@ -79,45 +79,52 @@ class SamplerChoice:
         for name, known in CHOICES.items():
             require_choice(f"{name} of a learned sampler", getattr(self, name), known)
         along, every = self.gaussians == "along", self.reading == "every-waypoint"
-        if self.sequences == "all-beams" and self.predictor != "transformer":
-            raise InvalidInputError(
-                f"all-beams goes with predictor transformer, not {self.predictor}"
-            )
+        spread = "along" if along else "every-waypoint"
+        codeless = "along" if along else "uniform"
         # predictors without configurations from start to goal
-        if (along or every) and self.predictor in ("published", "random", "uniform"):
-            word = "along" if along else "every-waypoint"
-            raise InvalidInputError(
-                f"{word} needs a path or sequence: predictor {self.predictor} has none"
-            )
+        pathless = self.predictor in ("published", "random", "uniform")
         # these have a path or lines instead of codes
         without_codes = self.predictor in ("solved", "transformer-lines", "nearest-lines")
-        if without_codes and not (along or every):
-            raise InvalidInputError(
-                f"predictor {self.predictor} has no codes of its own: add every-waypoint or along"
-            )
-        if self.update != "none" and (along or self.predictor == "uniform"):
-            word = "along" if along else "uniform"
-            raise InvalidInputError(
-                f"{self.update} moves codes: {word} has none; leave one of them out"
-            )
-        if self.goals == "goals-ranked" and self.predictor != "transformer":
-            raise InvalidInputError(
-                f"goals-ranked goes with predictor transformer, not {self.predictor}"
-            )
-        if self.host == "in-ompl" and self.draws == "raw-draws":
-            raise InvalidInputError("in-ompl: OMPL projects every draw; leave raw-draws out")
-        if not 0.0 <= self.uniform_share <= 1.0:
-            raise InvalidInputError(
-                f"uniform share {self.uniform_share} of a learned sampler: give 0 to 1"
-            )
-        if not self.reach > 0.0:
-            raise InvalidInputError(
-                f"reach {self.reach} of a learned sampler: give more than 0 [rad]; inf is no limit"
-            )
-        if not 0.0 < self.std < math.inf:
-            raise InvalidInputError(
-                f"std {self.std} of a learned sampler: give a number above 0 [rad]"
-            )
+        for broken, why in (
+            (
+                self.sequences == "all-beams" and self.predictor != "transformer",
+                f"all-beams goes with predictor transformer, not {self.predictor}",
+            ),
+            (
+                (along or every) and pathless,
+                f"{spread} needs a path or sequence: predictor {self.predictor} has none",
+            ),
+            (
+                without_codes and not (along or every),
+                f"predictor {self.predictor} has no codes of its own: add every-waypoint or along",
+            ),
+            (
+                self.update != "none" and (along or self.predictor == "uniform"),
+                f"{self.update} moves codes: {codeless} has none; leave one of them out",
+            ),
+            (
+                self.goals == "goals-ranked" and self.predictor != "transformer",
+                f"goals-ranked goes with predictor transformer, not {self.predictor}",
+            ),
+            (
+                self.host == "in-ompl" and self.draws == "raw-draws",
+                "in-ompl: OMPL projects every draw; leave raw-draws out",
+            ),
+            (
+                not 0.0 <= self.uniform_share <= 1.0,
+                f"uniform share {self.uniform_share} of a learned sampler: give 0 to 1",
+            ),
+            (
+                not self.reach > 0.0,
+                f"reach {self.reach} of a learned sampler: give more than 0 [rad]; inf is no limit",
+            ),
+            (
+                not 0.0 < self.std < math.inf,
+                f"std {self.std} of a learned sampler: give a number above 0 [rad]",
+            ),
+        ):
+            if broken:
+                raise InvalidInputError(why)
 
     @classmethod
     def of(cls, text: str, wide_share: float = 0.15) -> Self:

@@ -28,8 +28,8 @@ from cvqmpt_lab.vqmpt.weights import StoredModel
 class SequencePredictor(ABC):
     """A sequence model with its weights, for one robot."""
 
-    each_code_once: ClassVar[bool]  # whether repeated codes of the sequences are used only once
-    published_search: ClassVar[bool]  # whether beam search follows the authors' code
+    # whether beam search follows the authors' code, and repeated codes of sequences are all used
+    published: ClassVar[bool]
     max_length: int  # maximum number of predicted tokens, the goal token included
 
     def __init__(self, scenes: int = 8) -> None:
@@ -77,15 +77,14 @@ class SequencePredictor(ABC):
             beams=beams,
             max_length=self.max_length,
             every=every,
-            published=self.published_search,
+            published=self.published,
         )
 
 
 class SceneTransformerPredictor(SequencePredictor):
     """A trained scene transformer."""
 
-    each_code_once = True
-    published_search = False
+    published = False
 
     def __init__(self, model: StoredModel, robot: Robot) -> None:
         """Copy the weights; InvalidInputError if robot, dictionary or sizes do not fit."""
@@ -126,8 +125,7 @@ class SceneTransformerPredictor(SequencePredictor):
 class PublishedPredictor(SequencePredictor):
     """A trained model of the authors' architecture."""
 
-    each_code_once = False
-    published_search = True
+    published = True
 
     def __init__(self, model: StoredModel, robot: Robot) -> None:
         """Copy the weights; InvalidInputError if they do not fit the robot or the configuration."""

@@ -149,7 +149,7 @@ def _world(robot: Robot, scene: Scene, region: TaskSpaceRegion) -> World:
         )
         for body in bodies
     }
-    row, T_link_hand = robot.end_effector_link
+    row, T_link_hand = robot.hand()
     T_link_tool = T_link_hand @ np.linalg.inv(region.Tw_e)
     hand = links[row].body_frame()
     tool = plant.AddFrame(drake.FixedOffsetFrame("tool", hand, _pose(T_link_tool)))

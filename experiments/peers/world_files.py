@@ -60,7 +60,7 @@ def urdf_of(
         # pinocchio then uses the convex hull of the mesh
         SubElement(checking, "convex", name=f"{body.name}_0")
         _joint(root, f"link_{body.link}", body.name, body.T_link_body)
-    row, T_link_hand = robot.end_effector_link
+    row, T_link_hand = robot.hand()
     SubElement(root, "link", name=TOOL)
     _joint(root, f"link_{row}", TOOL, T_link_hand @ T_hand_tool)
     srdf = Element("robot", name="arm")

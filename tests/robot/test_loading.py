@@ -57,7 +57,7 @@ def test_a_tool_takes_the_place_of_the_frame_behind_which_it_is(panda):
 
 
 def test_unusable_options_and_files_are_named(slider_arm_urdf, edited, tmp_path, panda):
-    refused("no frame 'gripper'", panda.pose, HOME, "gripper")
+    refused("frame of robot panda 'gripper'", panda.pose, HOME, "gripper")
     refused(r"none\.urdf.*No such file", load_robot, tmp_path / "none.urdf", "tool")
     refused(f"{tmp_path.name}.*directory", load_robot, tmp_path, "tool")
     texts = {"empty.stl": "", "solid.stl": "solid empty\nendsolid empty\n", "flat.obj": FLAT_MESH}

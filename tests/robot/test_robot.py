@@ -29,7 +29,7 @@ def test_kernel_poses_equal_pinocchio_s(name, request):
     for q, R, t in zip(configurations, rotations, translations, strict=True):
         T = np.tile(np.eye(4), (robot.dof + 1, 1, 1))
         T[:, :3, :3], T[:, :3, 3] = R, t
-        link, T_link_hand = robot.end_effector_link
+        link, T_link_hand = robot.hand()
         np.testing.assert_allclose(T[link] @ T_link_hand, robot.pose(q), atol=1e-12)
         pin.updateGeometryPlacements(robot.model, data, robot.collision_model, geometry_data, q)
         for piece, placement in zip(robot.links, geometry_data.oMg, strict=True):

@@ -39,7 +39,7 @@ FINE = 0.002  # [rad]
 def placed_points(robot, attachments, configurations):
     """World positions (k, p, 3) of every vertex of the links and of what is carried."""
     rotations, translations = link_poses(robot.kinematics, configurations)
-    hand, T_link_hand = robot.end_effector_link
+    hand, T_link_hand = robot.hand()
     solids = [(piece.link, piece.T_link_geometry, piece.vertices) for piece in robot.links]
     solids += [(hand, T_link_hand @ a.T_hand_object, a.shape.vertices) for a in attachments]
     points = [

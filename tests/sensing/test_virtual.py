@@ -67,9 +67,9 @@ CAPTURE = Cloud(np.ones((1, 3)), T_world_camera=np.eye(4))
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (partial(CameraSettings, voxel=0.0), "voxel of 0.0 m"),
-        (partial(CameraSettings, points=0), "cloud of 0 points"),
-        (partial(CameraSettings, noise=-0.1), "noise of -0.1 m"),
+        (partial(CameraSettings, voxel=0.0), "voxel is 0.0; it must be a positive length"),
+        (partial(CameraSettings, points=0), "points is 0; it must be 1 or more"),
+        (partial(CameraSettings, noise=-0.1), "noise is -0.1; it must be a length of 0 or more"),
         (partial(Observer, scenes=0), "of 1 or more"),
         (partial(Observer().of_points, np.full((50, 3), 9.0)), "none of the cloud's 50 points"),
         (partial(camera_cloud, CLOUD, CameraSettings(), RNG), "'scan', a PointCloud"),
@@ -78,9 +78,12 @@ CAPTURE = Cloud(np.ones((1, 3)), T_world_camera=np.eye(4))
         (partial(Intrinsics.from_fov, height=0), "height is 0"),
         (partial(Intrinsics.from_fov, vertical_fov=180.0), "give one between 0 and 180"),
         (partial(Intrinsics.from_fov, near=2.0, far=1.0), "give 0 <= near < far"),
-        (partial(ScanSettings, voxel=float("nan")), "give more than 0"),
-        (partial(ScanSettings, robot_margin=-0.1), "give 0 or more"),
-        (partial(ScanSettings, neighbours=-1), "give 0 or more"),
+        (partial(ScanSettings, voxel=float("nan")), "voxel is nan; it must be a finite float"),
+        (
+            partial(ScanSettings, robot_margin=-0.1),
+            "robot_margin is -0.1; it must be a length of 0",
+        ),
+        (partial(ScanSettings, neighbours=-1), "neighbours is -1; it cannot be negative"),
         (partial(scan, 2 * [CAPTURE], ScanSettings(level=True), RNG), "2 captures cannot be lev"),
         (partial(voxel_means, np.array([[-900.0] * 3, [900.0] * 3]), 1e-7), "1e-07 m is too small"),
         (partial(replace, ROOM, upper=ROOM.lower), "lower corner below"),
