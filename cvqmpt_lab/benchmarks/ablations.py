@@ -21,7 +21,7 @@ from cvqmpt_lab.search.planner_interface import (
 from cvqmpt_lab.search.portfolio import roadmap_planner, spread_nodes
 from cvqmpt_lab.search.roadmap import scene_costs
 from cvqmpt_lab.search.space import ConstrainedSpace
-from cvqmpt_lab.vqmpt.planners import on_dictionary, product
+from cvqmpt_lab.vqmpt.learned_planners import on_dictionary, product
 from cvqmpt_lab.vqmpt.sampler_choice import PREFIX, SamplerChoice
 
 

@@ -20,7 +20,8 @@ from cvqmpt_lab.search.planner_interface import Stages
 from cvqmpt_lab.search.portfolio import roadmap_planner, spread_nodes
 
 PLANNER_MODULES = tuple(
-    import_module(name) for name in ("cvqmpt_lab.vqmpt.planners", "cvqmpt_lab.benchmarks.ablations")
+    import_module(name)
+    for name in ("cvqmpt_lab.vqmpt.learned_planners", "cvqmpt_lab.benchmarks.ablations")
 )
 """Each may have functions `planners()`, `controls()` and `unshipped_planners()`, which
 return lists of methods (the last ones need weights that are not shipped). Its function
