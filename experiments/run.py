@@ -3,7 +3,6 @@
 A problem gives one row, a task one for each planned phase.
 """
 
-import math
 import os
 import time
 from collections.abc import Callable, Sequence
@@ -133,6 +132,7 @@ def result_row(run: Run, solution: Solution, goal_seconds: float) -> ResultRow:
     """Return the row of a solution; undefined values are None."""
     plan, shorter, certificate = solution.plan, solution.simplified, solution.certificate
     work = None if plan.as_is else plan.counters
+    sampler: SamplerChoice | None = run.method.sampler
     timings, search, more = plan.timings, plan.search_seconds, solution.improvement
     simplified = (shorter.seconds if shorter else 0.0) + (more.seconds if more else 0.0)
     reasons = certificate.reasons if certificate else ()
@@ -176,15 +176,8 @@ def result_row(run: Run, solution: Solution, goal_seconds: float) -> ResultRow:
         path_length_first_rad=more.lengths[0][1] if more else None,
         g_sampled=_sampled_g(solution),
         t_wall_s=solution.wall_seconds,
-        **_sampler_columns(run.method.sampler),
+        **({} if sampler is None else asdict(sampler) | {"reach": _defined(sampler.reach)}),
     )
-
-
-def _sampler_columns(choice: SamplerChoice | None) -> dict[str, Any]:
-    """Return the columns of a learned sampler; `reach` is None without a limit: csv has no inf."""
-    if choice is None:
-        return {}
-    return asdict(choice) | {"reach": choice.reach if math.isfinite(choice.reach) else None}
 
 
 def _distance(clearance: Clearance | None) -> float | None:

@@ -286,6 +286,9 @@ def _built(source: Mapping[str, Any], free: Sequence[str] = ()) -> Robot:
         name: model.frames[model.getFrameId(name, pin.FrameType.BODY)]
         for name in given.end_effectors
     }
+    stands_still = {
+        f.name: f.parentJoint == 0 for f in model.frames if f.type == pin.FrameType.BODY
+    }
     remarks = bodies.notes
     if given.tool is not None:
         hands[given.end_effector].placement *= pin.SE3(given.tool)
@@ -306,7 +309,7 @@ def _built(source: Mapping[str, Any], free: Sequence[str] = ()) -> Robot:
         followers=followers,
         soft_limited=soft,
         # those that move come first
-        bodiless=tuple(sorted(bodies.bodiless, key=lambda name: _joint_of(model, name) == 0)),
+        bodiless=tuple(sorted(bodies.bodiless, key=lambda name: name in standing)),
         remarks=remarks,
         limits={"effort": plausible, **limits},
         frame_limits=dict(given.frame_limits),
@@ -333,11 +336,6 @@ def _built(source: Mapping[str, Any], free: Sequence[str] = ()) -> Robot:
         for piece, owner in zip(robot.links, owners, strict=True)
     )
     return replace(robot, links=links, self_collision_pairs=pairs, left_out_pairs=left_out)
-
-
-def _joint_of(model: pin.Model, link: str) -> int:
-    """Return the number of the joint that moves a link; 0 if none does."""
-    return int(model.frames[model.getFrameId(link, pin.FrameType.BODY)].parentJoint)
 
 
 def _within_soft_limits(model: pin.Model, urdf: Urdf, planned: Sequence[str]) -> tuple[str, ...]:
