@@ -286,9 +286,8 @@ def _built(source: Mapping[str, Any], free: Sequence[str] = ()) -> Robot:
         name: model.frames[model.getFrameId(name, pin.FrameType.BODY)]
         for name in given.end_effectors
     }
-    stands_still = {
-        f.name: f.parentJoint == 0 for f in model.frames if f.type == pin.FrameType.BODY
-    }
+    body_frames = [frame for frame in model.frames if frame.type == pin.FrameType.BODY]
+    standing = {frame.name for frame in body_frames if frame.parentJoint == 0}
     remarks = bodies.notes
     if given.tool is not None:
         hands[given.end_effector].placement *= pin.SE3(given.tool)
