@@ -20,7 +20,6 @@ from cvqmpt_lab.base.codec import Checked
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.base.poses import rigid
 from cvqmpt_lab.base.values import Condition, FloatArray, Length
-from cvqmpt_lab.geometry.convex import box_corners
 
 Pixels = Annotated[int, Condition(int, lambda n: 1 <= n <= 2**14, f"1 to {2**14} pixels")]
 
@@ -219,20 +218,18 @@ class Solid:
 def cuboid(T: np.ndarray, half: np.ndarray) -> Solid:
     """Return a box centred at pose T (4, 4); half (3,): half of each edge [m]."""
     planes = np.c_[np.vstack([np.eye(3), -np.eye(3)]), -np.tile(half, 2)]
-    return Solid(T, box_corners(-half, half), planes)
+    return Solid(T, _box_corners(half), planes)
 
 
 def ball(T: np.ndarray, radius: float) -> Solid:
     """Return a ball centred at pose T (4, 4); radius [m]."""
-    corners = box_corners(np.full(3, -radius), np.full(3, radius))
-    return Solid(T, corners, np.empty((0, 4)), radius, 3)
+    return Solid(T, _box_corners(np.full(3, radius)), np.empty((0, 4)), radius, 3)
 
 
 def cylinder(T: np.ndarray, radius: float, half: float) -> Solid:
     """Return a cylinder along z centred at pose T (4, 4); radius and half of the height [m]."""
     planes = np.array([[0.0, 0.0, 1.0, -half], [0.0, 0.0, -1.0, -half]])
-    extent = np.array([radius, radius, half])
-    return Solid(T, box_corners(-extent, extent), planes, radius, 2)
+    return Solid(T, _box_corners(np.array([radius, radius, half])), planes, radius, 2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -303,6 +300,11 @@ def _window(item: Solid, camera: Camera) -> tuple[slice, slice] | None:
 def _pixels(places: np.ndarray, count: int) -> slice:
     """Return the range of pixels, in 0 to count - 1, that contains all `places` [pixels]."""
     return slice(max(0, math.floor(places.min())), min(count, math.ceil(places.max()) + 1))
+
+
+def _box_corners(half: np.ndarray) -> np.ndarray:
+    signs = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
+    return signs * half
 
 
 WEAKEST_LIGHT = 0.15 / 5.46**2  # light s at the end of the specified range [1/m^2]
