@@ -24,6 +24,7 @@ from cvqmpt_lab.search.method import Method
 from cvqmpt_lab.search.planner_interface import GaussianMixture, Uniform
 from cvqmpt_lab.search.result import Budget, JointPath, PlanStatus
 from cvqmpt_lab.search.space import ConstrainedSpace
+from cvqmpt_lab.search.work import PRICES
 from cvqmpt_lab.tasks.solve import solve_task
 
 ENOUGH = Budget(iterations=20_000)
@@ -226,3 +227,15 @@ GOOD = {"means": MEANS, "covariances": COVARIANCES, "weights": np.array([0.3, 0.
 )
 def test_unusable_mixtures_are_refused(changes, pattern):
     refused(pattern, GaussianMixture, **GOOD | changes)
+
+
+def test_a_single_goal_has_the_whole_budget():
+    """Uniform samples in OMPL find none of the goals of this problem in the published 2.5 s."""
+    whole = place_problem(1003)
+    one = whole.changed(goals=whole.goals[:1])
+    solution = solve(one, "ompl-uniform", Budget(cost=5.0), seed=0)
+    counted = solution.plan.counters
+    spent = PRICES["published"].cost(
+        counted.state_checks, counted.projections, counted.newton_iterations
+    )
+    assert spent > 2.6

@@ -275,6 +275,8 @@ def _parts(query: Query, stages: Stages) -> Iterator[Query]:
         return
     # the published code limits the searches for goals only where there is a constraint
     limits = stages.goal_limits if query.space.dim else ()
+    if len(limits) == len(query.goals) == 1:
+        limits = ()  # the published limit shares a budget among twenty goals
     for limit in limits or (None,):
         yield from query.one_by_one(limit)
 
