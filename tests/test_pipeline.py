@@ -11,6 +11,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.base.processes import end_with_parent, one_thread
+from cvqmpt_lab.benchmarks.more_constraints import more_constraints_problem
 from cvqmpt_lab.benchmarks.place_task import place_problem
 from cvqmpt_lab.certificate.certificate import certify
 from cvqmpt_lab.collision.exact import CollisionChecker
@@ -230,12 +231,8 @@ def test_unusable_mixtures_are_refused(changes, pattern):
 
 
 def test_a_single_goal_has_the_whole_budget():
-    """Uniform samples in OMPL find none of the goals of this problem in the published 2.5 s."""
-    whole = place_problem(1003)
-    one = whole.changed(goals=whole.goals[:1])
-    solution = solve(one, "ompl-uniform", Budget(cost=5.0), seed=0)
-    counted = solution.plan.counters
-    spent = PRICES["published"].cost(
-        counted.state_checks, counted.projections, counted.newton_iterations
-    )
-    assert spent > 2.6
+    """Uniform samples in OMPL do not find this goal in the 2.5 s of one among several."""
+    solution = solve(more_constraints_problem(40), "ompl-uniform", Budget(cost=4.0), seed=0)
+    done = solution.plan.counters
+    spent = PRICES["published"].cost(done.state_checks, done.projections, done.newton_iterations)
+    assert spent > 4.0
