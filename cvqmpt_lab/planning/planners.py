@@ -130,7 +130,7 @@ def default_planner(problem: PlanningProblem) -> tuple[str, str]:
         return "birrt", "the hand holds a mechanism, for which no roadmap was measured"
     return (
         "roadmap",
-        "less work than birrt on most problems of all arms; birrt and cells where it finds no path",
+        "less work than birrt on most problems; if it finds no path, birrt and cells search on",
     )
 
 

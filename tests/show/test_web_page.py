@@ -95,9 +95,20 @@ def test_a_browser_shows_scene_robot_and_plots(solution, task_solution, tmp_path
     save_page(solution, tmp_path / "plan.html")
     save_page(task_solution, tmp_path / "task.html")
     last = len(solution.path.states) - 1
-    used = "".join(
-        f"canvas.onpointermove({{buttons: 1, movementX: {x}, movementY: 0}});" for x in (9, -9)
-    )
+    # a turn and back, then a second finger that zooms and back
+    used = """
+        const { distance, target } = camera, touch = (pointerId, clientX) => {
+          const event = { pointerId, clientX, clientY: 0 };
+          if (!fingers.has(pointerId)) fingers.set(pointerId, event);
+          canvas.onpointermove(event);
+        };
+        for (const x of [0, 9, 0]) touch(1, x);
+        for (const x of [100, 200]) touch(2, x);
+        if (!(camera.distance < 0.6 * distance)) throw new Error("no zoom");
+        touch(2, 100);
+        Object.assign(camera, { target });
+        fingers.clear();
+    """
     used += f"byId('play').click(); show(1); byId('play').click(); show({last});"
     used = f"setTimeout(() => {{ {used} }}, 300);"  # after the first frame is on the screen
     page = (tmp_path / "plan.html").read_text()
