@@ -17,7 +17,7 @@ import cvqmpt_lab
 from cvqmpt_lab.cli.main import COMMANDS, examples_of, main, parser_with
 from cvqmpt_lab.show.bodies import BODY_COLOURS
 from cvqmpt_lab.trajectory.timing import time_path
-from cvqmpt_lab.trajectory.trajectory import save_trajectory
+from cvqmpt_lab.trajectory.trajectory import read_motion, save_trajectory
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = sorted((ROOT / "notebooks" / "examples").glob("*.py"))
@@ -75,6 +75,26 @@ def test_quick_commands_of_the_readme_run(monkeypatch, tmp_path, capsys):
     for words in quick:
         assert main(words) == 0, (words, capsys.readouterr())
     assert {"plan.png", "motion.json", "mine.json"} <= {p.name for p in tmp_path.iterdir()}
+
+
+def test_cases_of_judge_a_motion_are_judged_as_the_page_says(monkeypatch, cvqmpt):
+    """Each command on the page is followed by lines that it prints."""
+    monkeypatch.chdir(ROOT)
+    page = (ROOT / "docs" / "judge_a_motion.md").read_text(encoding="utf-8")
+    cases = re.findall(r"```bash\n(.*?)```.*?```text\n(.*?)```", page, re.DOTALL)
+    assert len(cases) == 4
+    for command, told in cases:
+        (words,) = commands_of(f"```\n{command}```")
+        said = cvqmpt("", *words, code=1 if "fault " in told else 0)
+        assert {*told.splitlines()} <= {*said.splitlines()}
+    names = {name: getattr(cvqmpt_lab, name) for name in ("JointState", "Motion", "judge")}
+    exec(python_of("docs/judge_a_motion.md")[0], names)
+    chunk, problem = (ROOT / "docs" / "judge" / name for name in ("chunk.csv", "ball.json"))
+    motion, problem = read_motion(chunk), cvqmpt_lab.PlanningProblem.load(problem)
+    state = motion.positions[0], np.array([0.2, 0.0, 0.0, 0.1, 0.0, 0.0, 0.0]), np.zeros(7)
+    given = (problem, motion.joint_names, motion.positions, motion.times)
+    assert names["step"](*given, state) == 1.0
+    assert names["step"](*given, (state[0], np.zeros(7), np.zeros(7))) == 0.65
 
 
 def test_every_public_name_is_there():

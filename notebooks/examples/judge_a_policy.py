@@ -26,7 +26,7 @@ for begin in np.arange(0.0, plan.duration - 0.3, 1.5):
     if begin == 3.0:
         positions[:, 1] += 2.0 * (times - begin) ** 2
     chunk = Motion(plan.joint_names, positions, times - begin)
-    judged = judge(chunk, problem, last=JointState(*plan.at(begin)))
+    judged = judge(chunk, problem, last=JointState(*plan.at(begin)), exact_clearance=True)
     if judged.certified:  # full speed where 10 mm are free, a tenth at contact
         free = 1e3 * judged.clearance_m
         speed = min(1.0, 0.1 + 0.09 * free)
