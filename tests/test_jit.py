@@ -189,13 +189,11 @@ def test_machine_code_of_versions_long_unused_is_removed_and_nothing_else(tmp_pa
     assert left == {f"{3:016x}", f"{4:016x}", "0123456789abcdef", "clouds"}
 
 
-PROJECT = """
+SHRINK = """
 import numpy as np
-from cvqmpt_lab.constraints.region_constraint import RegionConstraint
-from cvqmpt_lab.constraints.task_space_region import upright
 from cvqmpt_lab.base.jit import Entry, folder
-from cvqmpt_lab.robot.load import panda
-print(RegionConstraint(panda(), (upright(),)).residual(np.zeros((1, 7))).shape)
+from cvqmpt_lab.collision.covers import shrink_sphere
+print(round(shrink_sphere(np.eye(3), 9, np.zeros(3), np.zeros(3)), 6))
 # numba creates the function of an entry only to compile it or a caller
 read = [one for one in Entry.all if "unchecked" in vars(one) and "dispatcher" not in vars(one)]
 print(len(read), folder())
@@ -236,36 +234,36 @@ os.access = lambda path, mode: False
 
 
 @pytest.fixture
-def project(tmp_path):
-    """Run PROJECT after other code with a cache folder; return shape, entries, folder, warnings."""
+def shrink(tmp_path):
+    """Run SHRINK after other code with a cache folder; return radius, entries, folder, warnings."""
 
     def run(before=""):
         warm = str(tmp_path / "warm")
         environment = os.environ | {"NUMBA_CACHE_DIR": warm, "TMPDIR": str(tmp_path)}
-        command = [sys.executable, "-c", before.replace("WARM", repr(warm)) + PROJECT]
+        command = [sys.executable, "-c", before.replace("WARM", repr(warm)) + SHRINK]
         done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
-        shape, used = done.stdout.splitlines()
+        radius, used = done.stdout.splitlines()
         count, place = used.split(" ", 1)
         warnings = [line for line in done.stderr.splitlines() if "Warning" in line]
-        return shape, int(count), place, warnings
+        return radius, int(count), place, warnings
 
     return run
 
 
 def test_machine_code_is_read_where_nothing_can_be_written_and_not_where_others_can_write(
-    tmp_path, project
+    tmp_path, shrink
 ):
-    shape, _, place, _ = project()
+    radius, _, place, _ = shrink()
     files = sorted(tmp_path.rglob("*.nb?"))
-    assert files and project(READ_ONLY) == (shape, len(files) // 2, place, [])
+    assert files and shrink(READ_ONLY) == (radius, len(files) // 2, place, [])
     for file in files[::2]:
         file.unlink()
-    again, count, _, told = project(READ_ONLY)
-    assert again == shape and len(told) == 1 and "cannot be kept" in told[0]
+    again, count, _, told = shrink(READ_ONLY)
+    assert again == radius and len(told) == 1 and "cannot be kept" in told[0]
     (tmp_path / "warm").chmod(0o777)
-    again, count, instead, told = project()
-    assert (again, count) == (shape, 0) and len(told) == 1 and "others can write" in told[0]
-    assert instead != place and project()[1] == len(files) // 2
+    again, count, instead, told = shrink()
+    assert (again, count) == (radius, 0) and len(told) == 1 and "others can write" in told[0]
+    assert instead != place and shrink()[1] == len(files) // 2
 
 
 CALLER = """
@@ -284,11 +282,11 @@ def test_what_calls_an_entry_that_was_read_from_disk_is_compiled(tmp_path):
     assert said == [["4.0", "True"], ["4.0", "False"]]
 
 
-def test_damaged_machine_code_is_compiled_anew(tmp_path, project):
-    whole = project()
+def test_damaged_machine_code_is_compiled_anew(tmp_path, shrink):
+    whole = shrink()
     files = list(tmp_path.rglob("*.nb?"))
     for file in files:
         file.write_bytes(file.read_bytes()[: 0 if file.suffix == ".nbi" else 1000])
-    assert files and project()[0] == whole[0]
+    assert files and shrink()[0] == whole[0]
     assert all(file.stat().st_size > 1000 for file in tmp_path.rglob("*.nbc"))
-    assert project()[1] == len(files) // 2
+    assert shrink()[1] == len(files) // 2
