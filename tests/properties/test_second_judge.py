@@ -76,6 +76,12 @@ class Given(NamedTuple):
         return self.kept(self.robot.random_configurations(rng, count))
 
 
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A folder for all tests: an arm is read once for a folder."""
+    return tmp_path_factory.mktemp("arms")
+
+
 @cache
 def read_arm(name, folder):
     """Return an arm by name, or a random arm by number: source, robot and the judge's model.
@@ -330,15 +336,15 @@ def judged(name, number, folder):
     "name", ["panda", "ur5", "xarm7", "tiago", "random", "baxter", "tiago-pro"]
 )
 @pytest.mark.promise(PROMISE, "cases", ci=6, long=2000)
-def test_certified_motions(name, trials, tmp_path):
-    verdicts = {number: judged(name, number, tmp_path) for number in range(trials)}
+def test_certified_motions(name, trials, folder):
+    verdicts = {number: judged(name, number, folder) for number in range(trials)}
     found = {number: verdict for number, verdict in verdicts.items() if verdict is not None}
     left = {
         number: outside
         for number, (_, outside) in found.items()
         if outside > CERTIFICATE_TOLERANCE + 1e-6
     }
-    arms = (arm_of(name, number, tmp_path) for number in range(RANDOM_ARMS))
+    arms = (arm_of(name, number, folder) for number in range(min(trials, RANDOM_ARMS)))
     excused = {pair for one in arms for pair in one.always}
     counts = name, len(found), trials, sorted(excused)
     log.info("%s: %d of %d cases certified, links not compared: %s", *counts)
@@ -360,22 +366,22 @@ AROUND = (
 
 
 @pytest.mark.parametrize("size", AROUND, ids=lambda size: size["type"])
-def test_judge_sees_what_a_corner_of_a_link_is_in(size, tmp_path):
+def test_judge_sees_what_a_corner_of_a_link_is_in(size, folder):
     """An object 5 mm deep or more is found; without it there is no overlap."""
-    given, rng = given_arm("panda", tmp_path), np.random.default_rng(0)
+    given, rng = given_arm("panda", folder), np.random.default_rng(0)
     q, body, T = free(given, rng), given.arm.bodies[-1], np.eye(4)
     T[:3, 3] = moved(given.arm.poses(q[None])[body.group, 0], body.points[0])
     item = {"name": "around", "shape": size, "T_world_object": T.tolist()}
     for objects, deep in (([item], 0.005), ([], 0.0)):
-        problem_of(tmp_path / "problem.json", given, objects, [], q[None])
-        verdict = Judge(tmp_path / "problem.json", given.arm).look(q[None])
+        problem_of(folder / "problem.json", given, objects, [], q[None])
+        verdict = Judge(folder / "problem.json", given.arm).look(q[None])
         assert verdict.depth >= deep and (verdict.depth > 0.0) == bool(objects)
 
 
-def test_judge_sees_a_hand_that_lets_go(tmp_path):
+def test_judge_sees_a_hand_that_lets_go(folder):
     """A wrist that turns violates the chain by its angle; a hand that lets go overlaps."""
-    given, rng = given_arm("baxter", tmp_path), np.random.default_rng(0)
-    q, path = free(given, rng), tmp_path / "problem.json"
+    given, rng = given_arm("baxter", folder), np.random.default_rng(0)
+    q, path = free(given, rng), folder / "problem.json"
     for held, turn in (
         (given.held, 0.0),
         (given.held, 0.05),
