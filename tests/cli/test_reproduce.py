@@ -11,6 +11,7 @@ from cvqmpt_lab.benchmarks.suite_parts import Amount, PlannerGroups
 from cvqmpt_lab.cli.reproduce_command import OverallProgress, duration_line
 from cvqmpt_lab.experiments import experiment
 from cvqmpt_lab.experiments.experiment import Experiment, parts_of
+from cvqmpt_lab.experiments.figures.paper import reproduce_figure
 from cvqmpt_lab.paper_tables.statements import CLAIMS
 from cvqmpt_lab.planning.planners import CONTROLS, PLANNERS
 from cvqmpt_lab.results.row import RUNS_FILE
@@ -36,6 +37,11 @@ def test_it_writes_rows_tables_verdicts_and_the_report_and_goes_on_where_it_was(
     one = Amount(profile="small", problems=1, cutoff=5.0)
     suite = replace(SUITES["place-task"], planners=("birrt",), amounts=(one,))
     monkeypatch.setattr(experiment, "SUITES", {"place-task": suite})
+
+    def drawn(figure, folder, command, problems):  # of two problems
+        return reproduce_figure(figure, folder, command, problems[:2])
+
+    monkeypatch.setattr("cvqmpt_lab.cli.reproduce_command.reproduce_figure", drawn)
     words, said = f"reproduce all --profile small --jobs 1 --out {tmp_path}", []
     monkeypatch.setattr("cvqmpt_lab.cli.reproduce_command.log", said.append)
     lines = cvqmpt(words).splitlines()
@@ -54,6 +60,8 @@ def test_it_writes_rows_tables_verdicts_and_the_report_and_goes_on_where_it_was(
     for page in ("claims.md", "report.html"):
         assert "These rows were made with --profile small" in (tmp_path / page).read_text()
     rows = (tmp_path / "place-task" / RUNS_FILE).read_bytes()
+    for name in ("page_of", "verdict_lines", "write_report"):  # seen above, and slow
+        monkeypatch.setattr(f"cvqmpt_lab.cli.reproduce_command.{name}", lambda *_, **named: "")
     cvqmpt(words)
     assert (tmp_path / "place-task" / RUNS_FILE).read_bytes() == rows
 

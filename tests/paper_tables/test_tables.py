@@ -17,7 +17,7 @@ from refusals import refused
 
 from cvqmpt_lab.base.errors import RunStoreError
 from cvqmpt_lab.paper_tables import committed, pages
-from cvqmpt_lab.paper_tables.claims import Evidence, evidence_below, judged_claims
+from cvqmpt_lab.paper_tables.claims import evidence_below, judged_claims
 from cvqmpt_lab.paper_tables.committed import RESULTS
 from cvqmpt_lab.paper_tables.judging import Word
 from cvqmpt_lab.paper_tables.layouts import place_table
@@ -144,17 +144,24 @@ def test_tables_of_own_planners_have_no_paper_unique_labels_and_the_best_bold(tm
     assert "**" not in "".join(render_directory(tmp_path / "runs_a").brief)
 
 
+@pytest.fixture(scope="module")
+def committed_evidence():
+    """The committed rows, which take seconds to read."""
+    return evidence_below(RESULTS)
+
+
 def by_title(results):
     return {item.claim.title: item for item in judged_claims(evidence_below(results))}
 
 
-def test_the_committed_page_and_the_readme_are_what_the_command_writes_from_the_rows():
-    assert committed.stale_pages(committed.committed_pages(evidence_below(RESULTS))) == []
+def test_the_committed_page_and_the_readme_are_what_the_command_writes_from_the_rows(
+    committed_evidence,
+):
+    assert committed.stale_pages(committed.committed_pages(committed_evidence)) == []
 
 
-def test_the_results_begin_with_advice_and_mark_clear_ratios():
-    evidence = {"robots": Evidence(RESULTS, read_rows(RESULTS / "robots" / RUNS_FILE), {})}
-    shown = Quoted(evidence).ratio("robots", "roadmap")
+def test_the_results_begin_with_advice_and_mark_clear_ratios(committed_evidence):
+    shown = Quoted(committed_evidence).ratio("robots", "roadmap")
     assert clear(shown) == f"**{shown}**" and clear("1.2 [0.9, 1.3]") == "1.2 [0.9, 1.3]"
     text = (committed.DOCS / "results.md").read_text(encoding="utf-8")
     assert text.index("(use.png)") < text.index("(forest.png)") < text.index("(comparisons.png)")
@@ -226,8 +233,8 @@ def test_claims_without_rows_say_so_and_what_cannot_be_tested_too(tmp_path):
     assert found["Opt: shorter paths"].verdicts[0].word is Word.SAME, "all paths are 6 rad"
 
 
-def test_pictures_of_the_committed_rows_are_drawn_without_a_display():
-    for path, picture in committed.committed_pictures(evidence_below(RESULTS)).items():
+def test_pictures_of_the_committed_rows_are_drawn_without_a_display(committed_evidence):
+    for path, picture in committed.committed_pictures(committed_evidence).items():
         assert path.is_file() and picture.startswith(b"\x89PNG") and len(picture) > 20_000
 
 
