@@ -97,9 +97,9 @@ def test_compiled_and_torch_functions_are_the_python_function(panda):
         np.testing.assert_allclose(own.residual(draws), on_circle(draws), atol=1e-12)
         np.testing.assert_allclose(own.jacobian(draws), circle.jacobian(draws), atol=1e-8)
         np.testing.assert_allclose(own.jacobian(draws[0]), circle.jacobian(draws[0]), atol=1e-8)
+        manifolds = [RegionConstraint(panda, (one,)) for one in (circle, own)]
         for q in draws:
-            ends = [RegionConstraint(panda, (one,)).project(q) for one in (circle, own)]
-            np.testing.assert_allclose(*ends, atol=1e-7)
+            np.testing.assert_allclose(*(each.project(q) for each in manifolds), atol=1e-7)
 
 
 def test_a_function_is_known_by_its_source():
