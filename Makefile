@@ -4,14 +4,14 @@ BIN := .venv/bin
 ALL := '.[dev,docs,train]'
 STAMP := .venv/.installed
 DEVELOPER := .venv/.installed-dev
-PIP := $(BIN)/python -m pip install --quiet -c constraints.txt
+# Python compiles a module when it is first imported; to compile all packages takes more than a minute.
+PIP := $(BIN)/python -m pip install --quiet --no-compile -c constraints.txt
 # uv, where it is installed, needs half a minute where pip needs minutes; where it reaches no index, pip may.
 install = { command -v uv >/dev/null && uv pip install --quiet --python $(BIN)/python -c constraints.txt $(1); } || $(PIP) $(1)
 
 .DEFAULT_GOAL := help
 # Without files of bytecode every process of a test compiles all Python that it imports again.
 unexport PYTHONDONTWRITEBYTECODE
-.NOTPARALLEL:
 .PHONY: help venv venv-dev locked inventory audit reproduce test lint warmup check-tables docs notebooks pytest trust wheel bench clean
 
 help:
@@ -67,8 +67,9 @@ audit: venv-dev
 	$(PIP) pip-audit
 	$(BIN)/pip-audit --strict --require-hashes --disable-pip -r locked.txt
 
+# From this folder, also while `venv-dev` installs the package again.
 warmup: venv
-	$(BIN)/cvqmpt warmup
+	PYTHONPATH="$(CURDIR)" $(BIN)/cvqmpt warmup
 
 reproduce: warmup
 	@$(BIN)/cvqmpt reproduce place-task --problems 20 --seeds 1 --cutoff 3 --out runs/place-task-small
@@ -85,7 +86,7 @@ lint: venv-dev
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-check-tables: venv warmup
+check-tables: venv-dev warmup
 	$(BIN)/cvqmpt check-tables
 
 pytest: venv-dev
@@ -98,10 +99,12 @@ docs: venv-dev warmup
 notebooks: venv-dev warmup
 	$(BIN)/python docs/run_notebooks.py
 
-# Two checks run at a time; tests come last, so that their summary is the last thing printed.
-test: venv-dev
+# Two steps run at a time: kernels are compiled while packages are installed, then two checks each. Tests
+# come last, so that their summary is the last thing printed.
+test: venv
 	@failed=0; \
-	$(MAKE) --no-print-directory --keep-going --output-sync=target -j2 lint check-tables docs || failed=1; \
+	$(MAKE) --no-print-directory --keep-going --output-sync=target -j2 venv-dev warmup docs lint check-tables \
+		|| failed=1; \
 	$(MAKE) --no-print-directory pytest || failed=1; \
 	exit $$failed
 
