@@ -1,6 +1,8 @@
 """Tasks to start from: an arm opens a drawer or a door that stands in its reach."""
 
 import re
+from copy import deepcopy
+from functools import cache
 
 import numpy as np
 import pytest
@@ -28,8 +30,14 @@ REFUSED = {  # and what their refusal says
 REFUSED |= {name: "has several end effectors" for name, arm in ARMS.items() if arm.end_effectors}
 
 
-def template(name, what="drawer"):
+@cache
+def made_once(name, what):
     return task_template(with_limits({"name": name})[0], what)
+
+
+def template(name, what="drawer"):
+    """Return a task that the test may change; it takes seconds to make."""
+    return deepcopy(made_once(name, what))
 
 
 def check_solved(made):
