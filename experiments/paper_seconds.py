@@ -117,8 +117,10 @@ def _timed(problem: PlanningProblem, space: "SimulatedSpace", planner: str, cost
         seconds += time.process_time() - began
         if path is not None or query.deadline.spent() is not None:
             break
-    operations = space.tally[[STATE_CHECKS, PROJECTIONS, NEWTON_ITERATIONS]].tolist()
-    return Timed(planner, problem.name, path is not None, *operations, seconds)
+    checks, projections, steps = space.tally[
+        [STATE_CHECKS, PROJECTIONS, NEWTON_ITERATIONS]
+    ].tolist()
+    return Timed(planner, problem.name, path is not None, checks, projections, steps, seconds)
 
 
 def ratios(found: Sequence[Timed]) -> list[Measured]:
@@ -130,21 +132,23 @@ def ratios(found: Sequence[Timed]) -> list[Measured]:
     runs = {name: [x for x in found if x.planner == name] for name in {x.planner: 0 for x in found}}
 
     def ratio(name: str, own: Sequence[float], other: Sequence[float]) -> Measured:
-        found = ratio_of_means(own, other, 0.05)
-        return Measured(name, *(float(x or 0.0) for x in found[:3]), "times")
+        middle, low, high = (float(x or 0.0) for x in ratio_of_means(own, other, 0.05)[:3])
+        return Measured(name, middle, low, high, "times")
 
-    seconds = {name: [x.seconds for x in own] for name, own in runs.items()}
-    lines = []
-    for name, own in runs.items():
-        for what in ("predicted", "published"):
-            prices = [getattr(x, what) for x in own]
-            lines.append(ratio(f"{name}: measured / {what} seconds", seconds[name], prices))
+    def values(planner: str, what: str) -> list[float]:
+        return [getattr(x, what) for x in runs[planner]]
+
+    lines = [
+        ratio(f"{name}: measured / {what} seconds", values(name, "seconds"), values(name, what))
+        for name in runs
+        for what in ("predicted", "published")
+    ]
     first, second = runs
-    for what in ("seconds", "predicted", "published"):
-        own, other = ([getattr(x, what) for x in runs[name]] for name in (second, first))
-        word = {"seconds": "measured"}.get(what, what)
-        lines.append(ratio(f"{second} / {first}, {word}", own, other))
-    return lines
+    words = {"seconds": "measured", "predicted": "predicted", "published": "published"}
+    return lines + [
+        ratio(f"{second} / {first}, {word}", values(second, what), values(first, what))
+        for what, word in words.items()
+    ]
 
 
 def write_paper_seconds(out: Path, found: Sequence[Timed], command: Sequence[str]) -> None:
@@ -160,8 +164,10 @@ def write_paper_seconds(out: Path, found: Sequence[Timed], command: Sequence[str
     configuration = {"figure": "paper-seconds", "suite": "place-task", "problems": problems}
     record = ProvenanceFile(make_folder(out))
     record.create(configuration, provenance(command, [0], {"vq_mpt": model}))
-    tables = {"values.csv": [Timed._fields, *found]}
-    tables["ratios.csv"] = [("ratio", "estimate", "low", "high"), *(x[:4] for x in ratios(found))]
+    tables: dict[str, list[Sequence[object]]] = {
+        "values.csv": [Timed._fields, *found],
+        "ratios.csv": [("ratio", "estimate", "low", "high"), *(x[:4] for x in ratios(found))],
+    }
     for name, rows in tables.items():
         cells = [[f"{x:.6g}" if isinstance(x, float) else x for x in row] for row in rows]
         write_text(out / name, csv_table(cells))
