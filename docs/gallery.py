@@ -47,7 +47,8 @@ def main() -> None:
             drawn = [draw(each, size=(across, high)).convert("RGB") for each in several]
             image = drawn[0]  # a single one has its own size: that of a task is larger
             if len(drawn) > 1:
-                image = Image.new("RGB", (columns * across, -(-len(drawn) // columns) * high))
+                whole = columns * across, -(-len(drawn) // columns) * high
+                image = Image.new("RGB", whole, "white")
                 for k, each in enumerate(drawn):
                     image.paste(each, (k % columns * across, k // columns * high))
             # kmeans keeps the colours of the legend, which are few pixels
