@@ -161,13 +161,22 @@ class _Parts:
         curve: q(t) of k pieces.
         bend: bounds (k, f) of the second derivatives of f values over time.
         flat: (f,) largest h^2 / 8 times the bend.
+        most: largest number of parts; with more, the values are not proven, which is a fault.
     """
 
-    def __init__(self, curve: PPoly, bend: np.ndarray, flat: np.ndarray) -> None:
+    def __init__(
+        self, curve: PPoly, bend: np.ndarray, flat: np.ndarray, most: int = 200_000
+    ) -> None:
         self._curve, self._bend, self._spans = curve, bend, np.diff(curve.x)
         counts = np.sqrt((bend / (8.0 * flat)).max(axis=1)) * self._spans
         self._counts = np.maximum(np.ceil(counts), 1.0)
-        self.total = float(self._counts.sum())  # number of parts; it may be too large to cut
+        self._total, self._most = float(self._counts.sum()), most
+        self.too_many = not self._total <= most  # whether there are too many to be cut
+
+    def not_proven(self, what: str) -> Fault:
+        """Return the fault of values of too many parts; `what` names them."""
+        checks = f"that takes {self._total:.3g} checks, more than {self._most}"
+        return Fault(FaultKind.NOT_PROVEN, f"{what} are not proven: {checks}")
 
     @cached_property
     def _ends(self) -> tuple[np.ndarray, np.ndarray]:
@@ -197,7 +206,6 @@ def effort_uses(
     problem: PlanningProblem,
     curve: PPoly,
     resolution: float = 0.005,
-    most_parts: int = 200_000,
 ) -> Iterator[LimitUse | Fault]:
     """Yield the use of the effort limits at any time, and of the torque rates at 1 kHz.
 
@@ -209,7 +217,6 @@ def effort_uses(
         problem: the robot and its load.
         curve: q(t).
         resolution: see above.
-        most_parts: largest number of parts; with more, efforts are not proven, which is a fault.
     """
     limits, dynamics = problem.robot.joint_limits, problem.dynamics
     if dynamics is None or limits.effort is None:
@@ -217,11 +224,8 @@ def effort_uses(
     most = np.array([bounds(curve, order) for order in range(5)])
     bent = dynamics.curvature(most[0], most[1:])
     parts = _Parts(curve, bent, resolution * limits.effort)
-    if not parts.total <= most_parts:
-        text = (
-            f"efforts are not proven: that takes {parts.total:.3g} checks, more than {most_parts}"
-        )
-        yield Fault(FaultKind.NOT_PROVEN, text)
+    if parts.too_many:
+        yield parts.not_proven("efforts")
         return
     largest = np.abs(dynamics.efforts(*(parts.at(k) for k in range(3)))) + parts.beyond
     found = [(FaultKind.EFFORT, "Nm", largest, parts.times)]
@@ -238,9 +242,7 @@ def effort_uses(
         yield LimitUse(kind, name, value, float(limit[joint]), unit, float(moments[k]))
 
 
-def frame_uses(
-    robot: Robot, curve: PPoly, resolution: float = 5e-4, most_parts: int = 200_000
-) -> Iterator[LimitUse | Fault]:
+def frame_uses(robot: Robot, curve: PPoly, resolution: float = 5e-4) -> Iterator[LimitUse | Fault]:
     """Yield the use of the speed limits of the robot's frames, at any time.
 
     On a part of a piece, h [s] long, a speed is at most the larger one of its ends plus h^2 / 8
@@ -251,7 +253,6 @@ def frame_uses(
         robot: the robot with its limits.
         curve: q(t).
         resolution: see above.
-        most_parts: largest number of parts; with more, speeds are not proven, which is a fault.
     """
     frames = FrameSpeeds(robot)
     if not frames.limits:
@@ -259,9 +260,8 @@ def frame_uses(
     limits = np.array([limit for _, _, limit in frames.limits])
     bend = frames.bend(np.array([bounds(curve, order) for order in (1, 2, 3)]))
     parts = _Parts(curve, bend, resolution * limits)
-    if not parts.total <= most_parts:
-        text = f"speeds of frames are not proven: that takes {parts.total:.3g} checks, more than "
-        yield Fault(FaultKind.NOT_PROVEN, f"{text}{most_parts}")
+    if parts.too_many:
+        yield parts.not_proven("speeds of frames")
         return
     most = frames.speeds(parts.at(0), parts.at(1)) + parts.beyond
     for k, (name, turning, limit) in enumerate(frames.limits):

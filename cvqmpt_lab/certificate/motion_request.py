@@ -6,7 +6,7 @@ rotation vector. Orientations whose tolerances are Euler angles, MoveIt's defaul
 
     R_desired^T R_link = R_x(a) R_y(b) R_z(c),    |a|, |b|, |c| <= tolerances,
 
-and joint positions are checked here.
+are `EulerBounds`. Joint positions are checked here.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -29,11 +29,11 @@ from cvqmpt_lab.certificate.certificate import (
 )
 from cvqmpt_lab.certificate.judge import Judgement, judge
 from cvqmpt_lab.certificate.limit_use import Ends
+from cvqmpt_lab.constraints.euler_bounds import EulerBounds
 from cvqmpt_lab.constraints.task_space_region import FREE, TaskSpaceRegion
 from cvqmpt_lab.geometry.polyline import cut, nearest_places
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.hulls import srdf_root
-from cvqmpt_lab.robot.joint_frames import poses_at_once
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.robot import FrameLimit, Robot
 from cvqmpt_lab.robot.source import read_source
@@ -50,23 +50,6 @@ class JointBounds(NamedTuple):
     joint: str
     lower: float
     upper: float
-
-
-class EulerBounds(NamedTuple):
-    """Bounds on the Euler angles of a link's rotation from a desired one."""
-
-    link: str
-    R: np.ndarray  # (3, 3), the desired rotation of the link in the world
-    most: np.ndarray  # (3,), largest |a|, |b|, |c| [rad]
-
-    def excess(self, robot: Robot, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the excess (k,) of the angles over their bounds at q (k, n), and |cos b| (k,)."""
-        turned = self.R.T @ poses_at_once(robot, q, self.link)[:, :3, :3]
-        sine = turned[:, 0, 2].clip(-1.0, 1.0)
-        a = np.arctan2(-turned[:, 1, 2], turned[:, 2, 2])
-        c = np.arctan2(-turned[:, 0, 1], turned[:, 0, 0])
-        angles = np.abs(np.stack([a, np.arcsin(sine), c], axis=1))
-        return (angles - self.most).max(axis=1), np.sqrt(1.0 - sine**2)
 
 
 @dataclass(frozen=True)
@@ -182,8 +165,7 @@ def _goal_faults(
 def _path_faults(path: Conditions, robot: Robot, states: np.ndarray) -> Iterator[Fault]:
     """Yield faults of joints and Euler angles on straight motions between states (m, n).
 
-    Joints are extreme at states. Along a motion with turns D = sum_j |dq_j|, an Euler angle changes
-    by at most D / |cos b|, and is at most D / 2 / |cos b| above the larger one of its ends.
+    Joints are extreme at states.
     """
     for name, lower, upper in path.joints:
         values = states[:, robot.joint_names.index(name)]
@@ -194,12 +176,9 @@ def _path_faults(path: Conditions, robot: Robot, states: np.ndarray) -> Iterator
             yield Fault(FaultKind.LIMITS, text, float(k))
     turns = np.abs(np.diff(robot.kinematics.joint_values(states), axis=0)).sum(axis=1)
     dense = cut(states, np.maximum(np.ceil(turns / (0.5 * CERTIFICATE_TOLERANCE)), 1.0).astype(int))
-    D = np.abs(np.diff(robot.kinematics.joint_values(dense), axis=0)).sum(axis=1)
     for bounds in path.eulers:
-        over, cosine = bounds.excess(robot, dense)
+        over, proven = bounds.excess(robot, dense)
         k = int(over.argmax())
-        least = np.maximum(np.minimum(cosine[1:], cosine[:-1]) - D, 1e-9)
-        proven = np.maximum(over[1:], over[:-1]) + 0.5 * D / least
         place = float(nearest_places(states, dense[k][None])[0][0])
         if over[k] > CERTIFICATE_TOLERANCE:
             text = f"{bounds.link} is turned {over[k]:.2g} rad beyond its tolerance of Euler angles"
