@@ -158,7 +158,7 @@ def page_of(results: Path) -> str:
 
 
 def verdict_lines(results: Path, with_committed: bool = False) -> list[str]:
-    """Return a line for each claim, and the effect of each step.
+    """Return a line for each claim.
 
     Args:
         results: folder of results directories.
@@ -170,8 +170,6 @@ def verdict_lines(results: Path, with_committed: bool = False) -> list[str]:
     if with_committed:
         shown = pages.beside_lines(judged, judged_claims(evidence_below(RESULTS)))
     lines = [banner(found), *text_lines(shown)]
-    steps = pages.decomposition_lines(found["place-task"]) if "place-task" in found else []
-    lines += ["", *text_lines(steps)] if len(steps) > 1 else []
     return lines if lines[0] else lines[1:]
 
 

@@ -1,24 +1,47 @@
-"""Judge every claim of the paper by the rows of results directories."""
+"""Judge every sentence of the paper by the rows of results directories, by `rule`."""
 
 import csv
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise, product
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from cvqmpt_lab.benchmarks.declarations import SUITES
-from cvqmpt_lab.paper_tables.judging import LEVEL, Verdict, Word, overall
-from cvqmpt_lab.paper_tables.measures import VALUES, Pair, Rows, grouped, paired
-from cvqmpt_lab.paper_tables.multi_sequence_table import task_rows
+from cvqmpt_lab.paper_tables import rule
+from cvqmpt_lab.paper_tables.measures import (
+    VALUES,
+    Pair,
+    Rows,
+    Value,
+    grouped,
+    mean_ratio,
+    paired,
+)
+from cvqmpt_lab.paper_tables.ompl_table import PAPER_CUTOFF_S
 from cvqmpt_lab.paper_tables.rendering import published_of
-from cvqmpt_lab.paper_tables.statements import CLAIMS, PREDICTED, Claim, PublishedValue
-from cvqmpt_lab.paper_tables.writers import Lines
+from cvqmpt_lab.paper_tables.rule import Effect, Word
+from cvqmpt_lab.paper_tables.statements import CBIRRT, CLAIMS, CVQ, IN_OMPL, OPT, Claim
+from cvqmpt_lab.paper_tables.writers import Lines, estimate
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE, ProvenanceFile, sessions
-from cvqmpt_lab.results.row import PAPER_PHASES, RUNS_FILE, ResultRow, read_rows, split_problem
-from cvqmpt_lab.results.statistics import problem_key
+from cvqmpt_lab.results.row import (
+    PAPER_PHASES,
+    RUNS_FILE,
+    FailReason,
+    ResultRow,
+    read_rows,
+    split_problem,
+)
+from cvqmpt_lab.results.statistics import Interval
+
+# the cost of a run by the time that the network takes
+COSTS = {
+    "0 s, as published": "search_cost",
+    "10 ms a prediction": "gpu_cost",
+    "this machine": "paper_cost",
+}
+LENGTHS = {"length": "ompl_length", "execution": "execution_time"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,167 +53,288 @@ class Evidence:
     record: dict[str, Any]  # its provenance
 
     @cached_property
-    def of_tasks(self) -> Rows:
-        """Rows of whole tasks, with sums over the phases that the paper times."""
-        return task_rows(self.rows, PAPER_PHASES)
+    def runs(self) -> dict[str, dict[tuple[str, int], Rows]]:
+        """Rows of each run by planner, and by problem and seed.
+
+        A run of a task has the rows of the phases that the paper times. A task in which a phase
+        between them failed, so that not all of them were tried, is left out.
+        """
+        suite = SUITES.get(self.rows[0].suite) if self.rows else None
+        of_tasks = suite is not None and suite.of_tasks
+        found: dict[str, dict[tuple[str, int], list[ResultRow]]] = {}
+        for row in self.rows:
+            if of_tasks and _untimed(row):
+                continue
+            problem = row.item if of_tasks else row.problem
+            found.setdefault(row.planner, {}).setdefault((problem, row.seed), []).append(row)
+        count = len(PAPER_PHASES) if of_tasks else 1
+        return {
+            planner: {key: rows for key, rows in runs.items() if len(rows) == count}
+            for planner, runs in found.items()
+        }
 
 
-class JudgedClaim(NamedTuple):
-    """A claim and its verdicts."""
+def _untimed(row: ResultRow) -> bool:
+    """Return whether the paper does not time a phase, or a phase before it failed."""
+    untried = row.fail_reason is FailReason.NOT_REACHED
+    return untried or split_problem(row.problem).phase not in PAPER_PHASES
+
+
+@dataclass(frozen=True, kw_only=True)
+class Comparison:
+    """A sentence about one planner against one baseline."""
+
+    planner: str
+    baseline: str
+    count: int  # problems
+    failed: tuple[int, int]  # failed runs of the planner and of the baseline
+    paper: float | None  # the paper's ratio, or its difference of shares
+    word: Word
+    effect: Effect | None = None  # of ratios, at the published prices and without networks
+    gain: Interval | None = None  # of shares
+    words: Mapping[str, Word] = field(default_factory=dict)  # by the time of networks
+    pybullet: tuple[Effect, Word] | None = None  # at the prices of PyBullet's kinematics
+    needed: int | None = None  # problems that would decide an inconclusive comparison
+
+    @property
+    def cells(self) -> list[str]:
+        """The paper's number, both statistics and the word."""
+        if self.gain is not None:
+            paper = "–" if self.paper is None else _points(Interval(self.paper, None, None, 0))
+            return [paper, _points(self.gain), "–", str(self.word)]
+        paper = "–" if self.paper is None else f"{self.paper:.2f}"
+        both = ("–", "–") if self.effect is None else map(estimate, self.effect)
+        return [paper, *both, str(self.word)]
+
+
+@dataclass(frozen=True, eq=False)
+class JudgedClaim:
+    """A claim with its comparisons."""
 
     claim: Claim
-    verdicts: tuple[Verdict, ...]
-    evidence: Evidence | None
+    comparisons: tuple[Comparison, ...]
+    evidence: tuple[Evidence, ...]
 
     @property
-    def word(self) -> Word:
-        """Word for the claim, which combines the verdicts of all its comparisons."""
-        return Word.UNTESTABLE if self.claim.untestable else overall(self.verdicts)
+    def word(self) -> str:
+        """Word of the claim, see `rule.claim_word`."""
+        if self.claim.untestable:
+            return str(Word.UNTESTABLE)
+        return rule.claim_word([item.word for item in self.comparisons] or [Word.NO_ROWS])
 
-    @property
-    def deciding(self) -> Verdict | None:
-        """The first verdict with the word of the claim."""
-        return next((verdict for verdict in self.verdicts if verdict.word is self.word), None)
 
-    @property
-    def needed(self) -> int | None:
-        """Number of problems that would decide an inconclusive claim; None for another claim."""
-        counts = [x.needed for x in self.verdicts if x.needed] if self.word is Word.OPEN else []
-        return max(counts, default=None)
+def sentence_level() -> float:
+    """Return the two-sided level of an interval: Bonferroni over the judged sentences."""
+    return rule.LEVEL / sum(not claim.untestable for claim in CLAIMS)
 
 
 def judged_claims(found: Mapping[str, Evidence]) -> list[JudgedClaim]:
-    """Judge every claim.
-
-    Claims are inconclusive if the rows were made with a profile that is too small for verdicts.
-
-    found: results directories by name.
-    """
-    large_enough, judged = not profiles(found), []
+    """Judge every claim; found: results directories by name."""
+    judged = []
     for claim in CLAIMS:
-        evidence = found.get(claim.suite)
-        verdicts = () if evidence is None or claim.untestable else _verdicts(claim, evidence)
-        if verdicts and claim.again in found:
-            repeated = {x.comparison: x for x in _verdicts(claim, found[claim.again]) if x.pairs}
-            verdicts = [repeated.get(x.comparison, x) for x in verdicts]
-        own = tuple(verdict._replace(known=large_enough) for verdict in verdicts)
-        judged.append(JudgedClaim(claim, own, evidence))
+        own = tuple(found[name] for name in claim.suites if name in found)
+        complete = bool(own) and len(own) == len(claim.suites)
+        made = comparisons(claim, own, sentence_level()) if complete else ()
+        judged.append(JudgedClaim(claim, tuple(made), own))
     return judged
 
 
-def error_level() -> float:
-    """Return the two-sided level of one interval: LEVEL, Bonferroni-corrected for all tests."""
-    return LEVEL / sum(1 + bool(claim.again) for claim in CLAIMS if not claim.untestable)
-
-
-def _verdicts(claim: Claim, evidence: Evidence) -> list[Verdict]:
-    if claim.baselines == (PREDICTED,):
-        return [updated_codes(claim, evidence.folder)]
-    if not evidence.rows:
-        return []
-    suite, rows = evidence.rows[0].suite, evidence.rows
-    cutoff: float | None = evidence.record["configuration"].get("cutoff_s")
-    if suite in SUITES and SUITES[suite].of_tasks:
-        rows = evidence.of_tasks
-        cutoff = None if cutoff is None else len(PAPER_PHASES) * cutoff
-    return verdicts_of(claim, rows, published_of(suite), cutoff)
-
-
-def price_lines(evidence: Evidence) -> Lines:
-    """Return a table of the claims at the paper's cost, with two prices of projections."""
-    lines = [["planner", "against", "as published", "PyBullet's kinematics"]]
-    for claim in (claim for claim in CLAIMS if claim.metric == "paper_cost"):
-        priced = (replace(claim, metric=metric) for metric in ("paper_cost", "pybullet_cost"))
-        for both in zip(*(_verdicts(item, evidence) for item in priced), strict=True):
-            verdicts = [f"{item.interval_text(item.gain)}: {item.word}" for item in both]
-            lines.append([both[0].planner, both[0].against, *verdicts])
-    return lines
-
-
-def verdicts_of(
-    claim: Claim,
-    rows: Rows,
-    published: Sequence[PublishedValue] = (),
-    cutoff: float | None = None,
-    level: float | None = None,
-) -> list[Verdict]:
-    """Return a verdict for each planner of a claim that has rows, against each baseline.
+def comparisons(claim: Claim, own: Sequence[Evidence], level: float) -> list[Comparison]:
+    """Return each planner's comparison with each baseline, where both have rows.
 
     Args:
         claim: claim that is judged.
-        rows: rows of one suite.
-        published: the paper's numbers.
-        cutoff: time limit of the runs [s]; None if they have none.
-        level: two-sided error level of an interval; None: `error_level`.
+        own: results directories of its suites.
+        level: of intervals, two-sided.
     """
-    own = grouped((row.planner, row) for row in rows)
-    metric = claim.published or claim.metric
-    numbers = {item.planner: float(item.value) for item in published if item.metric == metric}
-    found = []
+    made = []
     for planner, baseline in product(claim.planners, claim.baselines):
-        paper = None
-        if planner in numbers and baseline in numbers:
-            ours, other = numbers[planner], numbers[baseline]
-            paper = (ours - other) / 100.0 if claim.is_share else math.log(other / ours)
-        kinds = grouped((_kind(claim, row), row) for row in own.get(planner, ())) or {"": []}
-        for kind, ran in kinds.items():
-            against = [row for row in own.get(baseline, ()) if _kind(claim, row) == kind]
-            pairs = compared(claim, ran, against, cutoff)
-            probability = error_level() if level is None else level
-            verdict = Verdict(claim, planner, baseline, kind, pairs, probability, paper)
-            found.append(verdict._replace(failed=_failed(ran, against)))
+        parts = [_runs(item, planner, baseline) for item in own]
+        if all(parts):
+            compare = _compared_shares if claim.is_share else _compared
+            made.append(compare(claim, planner, baseline, parts, level))
+    return made
+
+
+Both = Sequence[tuple[str, Rows, Rows]]  # problem, run of the planner, run of the baseline
+
+
+def _runs(evidence: Evidence, planner: str, baseline: str) -> Both:
+    """Return the runs of problems that both planners tried."""
+    ours, other = (evidence.runs.get(name, {}) for name in (planner, baseline))
+    return [(key[0], rows, other[key]) for key, rows in ours.items() if key in other]
+
+
+def _solved(run: Rows) -> bool:
+    return all(row.solved for row in run)
+
+
+def _cost(run: Rows, value: Value) -> float | None:
+    """Return the cost of a run in the paper's currency [s], at most the cut-off of each phase."""
+    costs = [value(row) if row.solved else PAPER_CUTOFF_S for row in run]
+    return None if None in costs else sum(min(x, PAPER_CUTOFF_S) for x in costs if x is not None)
+
+
+def _size(run: Rows, value: Value) -> float | None:
+    """Return the sum of a value over a solved run; None for a failed one."""
+    sizes = [value(row) for row in run]
+    return sum(x for x in sizes if x) if _solved(run) and None not in sizes else None
+
+
+def paper_number(claim: Claim, planner: str, baseline: str) -> float | None:
+    """Return the paper's ratio of a planner to a baseline, or its difference of shares."""
+    numbers = {
+        IN_OMPL.get(item.planner, item.planner): float(item.value)
+        for item in (published_of(claim.suites[0]) if claim.suites else ())
+        if item.metric == claim.paper
+    }
+    if planner not in numbers or baseline not in numbers:
+        return None
+    ours, other = numbers[planner], numbers[baseline]
+    return (ours - other) / 100.0 if claim.is_share else ours / other
+
+
+def _compared_shares(
+    claim: Claim, planner: str, baseline: str, parts: Sequence[Both], level: float
+) -> Comparison:
+    solved = [(_solved(ours), _solved(other)) for part in parts for _, ours, other in part]
+    paper = paper_number(claim, planner, baseline)
+    gain = rule.share_gain(*zip(*solved, strict=True), level)
+    return Comparison(
+        planner=planner,
+        baseline=baseline,
+        count=len(solved),
+        failed=_failures(parts),
+        paper=paper,
+        word=rule.share_word(gain, paper, claim.similar),
+        gain=gain,
+    )
+
+
+def _compared(
+    claim: Claim, planner: str, baseline: str, parts: Sequence[Both], level: float
+) -> Comparison:
+    paper = paper_number(claim, planner, baseline)
+    reached = None if paper is None or paper >= 1.0 else paper  # else it contradicts its sentence
+
+    def effect(value: str) -> Effect:
+        pairs = _pairs(claim, parts, VALUES[value])
+        effects = [Effect.of(*zip(*values, strict=True), level) for values in pairs.values()]
+        if not claim.pooled:
+            return effects[0]
+        known = [item for item in effects if item.means.low is not None]
+        if len(known) < 2:
+            return Effect.of((), (), level)
+        return Effect(*(rule.pooled(side, level, level) for side in zip(*known, strict=True)))
+
+    timed = claim.measure == "cost"
+    main = COSTS["0 s, as published"] if timed else LENGTHS[claim.measure]
+    values = [pair for kind in _pairs(claim, parts, VALUES[main]).values() for pair in kind]
+    if not values:
+        return Comparison(
+            planner=planner, baseline=baseline, count=0, failed=_failures(parts), paper=paper,
+            word=Word.OPEN,
+        )  # fmt: skip
+    found = effect(main)
+    word, words, pybullet, needed = rule.word_of(found, reached), {}, None, None
+    if timed:
+        words = {name: rule.word_of(effect(cost), reached) for name, cost in COSTS.items()}
+        word = rule.word_on_all_hardware(words)
+        cheap = effect("search_cost_pybullet")
+        pybullet = cheap, rule.word_of(cheap, reached)
+    if word is Word.OPEN and not claim.pooled and len(values) >= rule.FEWEST_PROBLEMS:
+        own, other = zip(*values, strict=True)
+        needed = max(len(values) + 1, rule.problems_needed(own, other, level))
+    return Comparison(
+        planner=planner,
+        baseline=baseline,
+        count=len(values),
+        failed=_failures(parts),
+        paper=paper,
+        word=word,
+        effect=found,
+        words=words,
+        pybullet=pybullet,
+        needed=needed,
+    )
+
+
+def _pairs(
+    claim: Claim, parts: Sequence[Both], value: Value
+) -> dict[str, list[tuple[float, float]]]:
+    """Return values of both planners on each problem, by kind of problem if kinds are pooled."""
+    of_run = _cost if claim.measure == "cost" else _size
+    found: dict[str, list[tuple[float, float]]] = {}
+    for problem, *runs in (item for part in parts for item in part):
+        own, other = (of_run(run, value) for run in runs)
+        if own and other:
+            kind = split_problem(problem).phase if claim.pooled else ""
+            found.setdefault(kind, []).append((own, other))
     return found
 
 
-def compared(claim: Claim, own: Rows, other: Rows, cutoff: float | None = None) -> list[Pair]:
-    """Return the values of both planners on each problem; the claim says how failures count.
-
-    Args:
-        claim: its fields `metric` and `cutoff` are used.
-        own: rows of the planner.
-        other: rows of the baseline.
-        cutoff: time limit of the runs [s]; None if they have none.
-    """
-    if claim.is_share:
-        theirs = {problem_key(row): row.solved for row in other}
-        runs = [(row, theirs.get(problem_key(row))) for row in own]
-        both = [(row.problem, (float(row.solved), float(x))) for row, x in runs if x is not None]
-        return [Pair(*of_it) for of_it in grouped(both).items()]
-    value, limit = VALUES[claim.metric], None
-    if claim.cutoff == "rows" and cutoff is not None:
-        limit = cutoff
-    elif isinstance(claim.cutoff, str):
-        known = [value(row) for row in (*own, *other) if row.solved]
-        # if no run was solved, no value can be compared: a limit of 0 leaves all runs out
-        limit = max((x for x in known if x is not None), default=0.0)
-    elif claim.cutoff is not None:
-        limit = claim.cutoff
-    return paired(own, other, value, cutoff=limit)
+def _failures(parts: Sequence[Both]) -> tuple[int, int]:
+    """Return the numbers of failed runs of the planner and of the baseline."""
+    runs = [item for part in parts for item in part]
+    return sum(not _solved(run[1]) for run in runs), sum(not _solved(run[2]) for run in runs)
 
 
-def _kind(claim: Claim, row: ResultRow) -> str:
-    return split_problem(row.problem).phase if claim.by_kind else ""
+def _points(gain: Interval) -> str:
+    """Return a difference of shares as percentage points with its interval."""
+
+    def shown(share: float) -> str:
+        return f"{round(100.0 * share):+d}".replace("-", "−").replace("+0", "0")
+
+    if gain.estimate is None:
+        return "–"
+    inside = (
+        ""
+        if gain.low is None or gain.high is None
+        else (f" [{shown(gain.low)}, {shown(gain.high)}]")
+    )
+    return f"{shown(gain.estimate)}{inside} pt"
 
 
-def _failed(own: Rows, other: Rows) -> tuple[int, int, int]:
-    """Count runs that both planners have: failed by the own, failed by the other, all."""
-    ours = {problem_key(row): row.solved for row in own}
-    theirs = {problem_key(row): row.solved for row in other}
-    both = ours.keys() & theirs.keys()
-    failed = [sum(not solved[key] for key in both) for solved in (ours, theirs)]
-    return failed[0], failed[1], len(both)
+# ---------------------------------------------------------------- beside the claims
 
 
-def updated_codes(claim: Claim, folder: Path) -> Verdict:
-    """Compare G of predicted codes after and before the update; each problem counts once."""
+def transfer_lines(evidence: Evidence) -> Lines:
+    """Return seconds of this machine, with compiled checks: medians and ratios, without words."""
+    runs = grouped((row.planner, row) for row in evidence.rows)
+    baselines = (CBIRRT, "birrt")
+    lines = [["planner", "solved", *(f"time / {name}, geometric mean" for name in baselines)]]
+    for planner, rows in runs.items():
+        cells = [f"`{planner}`", f"{sum(row.solved for row in rows)} of {len(rows)}"]
+        for baseline in baselines:
+            pairs = paired(rows, runs.get(baseline, ()), VALUES["own_time"])
+            cells.append("–" if planner == baseline else estimate(mean_ratio(pairs)))
+        lines.append(cells)
+    return lines
+
+
+def mechanism_lines(found: Mapping[str, Evidence]) -> Lines:
+    """Return what Algorithm 2 changes before the search: Newton steps of a draw, and G."""
+    lines = [["mechanism of Algorithm 2", "ratio, 95 %"]]
+    if "place-task-ompl" in found:
+        runs = grouped((row.planner, row) for row in found["place-task-ompl"].rows)
+        pairs = paired(runs.get(OPT, ()), runs.get(CVQ, ()), VALUES["draw_newton_steps"])
+        name = f"Newton steps to project a sample, `{OPT}` / `{CVQ}`"
+        lines.append([name, estimate(mean_ratio(pairs))])
+    if "histogram" in found:
+        name = "G = F(q)ᵀF(q) of samples of the predicted codes, after / before the update"
+        lines.append([name, estimate(mean_ratio(updated_codes(found["histogram"].folder)))])
+    return lines
+
+
+def updated_codes(folder: Path) -> list[Pair]:
+    """Return G of predicted codes after and before the update, by problem."""
     codes = []
     with (folder / "values.csv").open(encoding="utf-8", newline="") as handle:
         for line in csv.DictReader(handle):
             after, before = float(line["g_after"]), float(line["g_before"])
             if line["code"] != "goal" and after > 0.0 < before:
                 codes.append((line["problem"], (after, before)))
-    pairs = [Pair(*of_it) for of_it in grouped(codes).items()]
-    return Verdict(claim, claim.planners[0], PREDICTED, "", pairs, error_level(), None)
+    return [Pair(*of_it) for of_it in grouped(codes).items()]
 
 
 def profiles(found: Mapping[str, Evidence]) -> list[str]:

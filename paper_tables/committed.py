@@ -154,14 +154,10 @@ def committed_pictures(found: Mapping[str, Evidence]) -> dict[Path, bytes]:
     """Return pictures of committed rows: what to use, comparisons of claims, cost of a check."""
     from cvqmpt_lab.paper_tables import plots  # matplotlib takes a second to import
 
-    claims = judged_claims(found)
-    verdicts = [verdict for item in claims for verdict in item.verdicts]
-    deciding = [item.deciding for item in claims if item.deciding is not None]
     drawn = {
         "use.png": plots.advice(what_to_use(Quoted(found))),
-        "forest.png": plots.forest(deciding),
-        "comparisons.png": plots.forest(verdicts),
-        "cost.png": plots.cost_curves(by_planner(found["place-task"].rows, ())),
+        "forest.png": plots.forest(judged_claims(found)),
+        "cost.png": plots.cost_curves(by_planner(found["place-task-seconds"].rows, ())),
     }
     return {DOCS / name: picture for name, picture in drawn.items()}
 

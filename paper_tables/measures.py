@@ -58,10 +58,21 @@ def network_time(row: ResultRow) -> float:
     return (row.t_encode_s or 0.0) + (row.t_predict_s or 0.0) + (row.t_optimize_s or 0.0)
 
 
-def paper_cost(row: ResultRow, prices: str = "published") -> float | None:
+def paper_cost(row: ResultRow) -> float | None:
     """Return `search_cost` and measured network time [s], without goals and shortcutting."""
-    search = search_cost(row, prices)
+    search = search_cost(row)
     return None if search is None else search + network_time(row)
+
+
+def gpu_cost(row: ResultRow, prediction: float = 0.010) -> float | None:
+    """Return `search_cost` and a GPU's time for each goal that a network predicted [s].
+
+    prediction: time of one prediction, see docs/judgement.md.
+    """
+    search = search_cost(row)
+    if search is None or not network_time(row):
+        return search
+    return search + prediction * (row.n_goals_tried or 1)
 
 
 def stored_vertices(row: ResultRow) -> int | None:
@@ -131,10 +142,9 @@ VALUES: Mapping[str, Value] = {  # values of a row by name; times in [s]
     ),
     "work": work,
     "paper_cost": paper_cost,
-    # the same with projections by PyBullet's kinematics
-    "pybullet_cost": partial(paper_cost, prices="pybullet"),
     # the price of the search alone: the published code times no network
     "search_cost": search_cost,
+    "gpu_cost": gpu_cost,
     "search_cost_pybullet": partial(search_cost, prices="pybullet"),
     "stored_vertices": stored_vertices,
     "ompl_length": attrgetter("path_length_ompl_rad"),

@@ -24,16 +24,13 @@ from cvqmpt_lab.paper_tables.measures import (
     solved,
 )
 from cvqmpt_lab.paper_tables.rule import FEWEST_PROBLEMS, ratio_of_means
-from cvqmpt_lab.paper_tables.statements import CBIRRT, PublishedValue
+from cvqmpt_lab.paper_tables.statements import CBIRRT, IN_OMPL, UNIFORM, PublishedValue
 from cvqmpt_lab.paper_tables.table_engine import Column, SuiteTable
 from cvqmpt_lab.paper_tables.writers import Ratio
 from cvqmpt_lab.results.row import ResultRow
 from cvqmpt_lab.results.statistics import CONFIDENCE, UNDEFINED, Interval
 
 PAPER_CUTOFF_S = 100.0
-UNIFORM = "ompl-uniform"
-# planners of the paper's Table I, and those that run its experiment
-IN_OMPL = {"cvq-mpt": "ompl-cvq", "opt-cvq-mpt": "ompl-opt-cvq", "mpnet": "ompl-mpnet"}
 
 
 def mean_cost(value: str) -> Measure:

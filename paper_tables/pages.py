@@ -11,7 +11,6 @@ import zlib
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from html import escape
-from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -19,37 +18,41 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.paper_tables.claims import (
+    Comparison,
     Evidence,
     JudgedClaim,
     banner,
     evidence_below,
     judged_claims,
-    price_lines,
+    mechanism_lines,
     read_evidence,
+    sentence_level,
+    transfer_lines,
 )
-from cvqmpt_lab.paper_tables.judging import LEVEL, NOTHING, POWER, REACHED, Word, verdict_lines
 from cvqmpt_lab.paper_tables.measures import (
     PUBLISHED_PRICES,
-    REFERENCE,
     VALUES,
     WORK,
     Rows,
     grouped,
-    mean_ratio,
-    paired,
     work,
 )
-from cvqmpt_lab.paper_tables.quoted import clear
+from cvqmpt_lab.paper_tables.quoted import Quoted, clear
 from cvqmpt_lab.paper_tables.rendering import published_of, table_of, title_of
-from cvqmpt_lab.paper_tables.statements import BECAUSE, CBIRRT, CVQ, OPT, PUBLISHED, READING, STEPS
+from cvqmpt_lab.paper_tables.rule import Word
+from cvqmpt_lab.paper_tables.statements import CLAIMS, PUBLISHED, READING
 from cvqmpt_lab.paper_tables.table_engine import by_planner
-from cvqmpt_lab.paper_tables.writers import BOLD, Lines, Ratio, change, markdown_table
+from cvqmpt_lab.paper_tables.writers import BOLD, Lines, Ratio, estimate, markdown_table
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE, digests_in, sessions
 from cvqmpt_lab.results.row import ResultRow
 
 PAGE = PUBLISHED.parent / "README.md"
-CHANGE_COLUMNS = {"time [%]": "known_time", "work [%]": "work", "length [%]": "path_length"}
-KITCHENS = {"place-task": "known", "place-task-mirrored": "new"}
+PAPER_TABLES = {  # titles of the paper's tables on the page of claims, by results directory
+    "place-task-ompl": "Table I, place task",
+    "place-task-published": "The same in the direction of the published code",
+    "sensor-ompl": "Table I, sensed scenes",
+    "multi-sequence-published": "Table II, multi-sequence task",
+}
 REPORT_COLUMNS = (
     "problem",
     "seed",
@@ -79,7 +82,7 @@ def rendered(template: str, **data: Any) -> str:
     )
     environment.filters |= {
         "table": markdown_table,
-        "verdicts": verdict_lines,
+        "comparisons": comparison_lines,
         "td": html_cell,
         "clear": clear,
     }
@@ -104,101 +107,96 @@ def html_cell(text: str, head: str) -> str:
 
 def reading() -> list[str]:
     """Return explanations of verdicts, one for each item of a list."""
-    numbers = {"share": REACHED, "level": LEVEL, "power": POWER}
-    percents = {name: 100.0 * number for name, number in numbers.items()}
-    prices = {
+    numbers = {
+        "sentences": sum(not claim.untestable for claim in CLAIMS),
         "check": 1e3 * PUBLISHED_PRICES.state_check,
         "residual": 1e3 * PUBLISHED_PRICES.projection,
         "step": 1e3 * PUBLISHED_PRICES.newton_step,
     }
-    return [line.format(**percents, **prices) for line in READING]
+    return [line.format(**numbers) for line in READING]
 
 
 # ---------------------------------------------------------------- the page of claims
 
 
 def summary_lines(claims: Iterable[JudgedClaim]) -> Lines:
-    """Return a line for each claim with the numbers of its deciding comparison."""
-    lines = [["claim", "planner", "against", "paper", "measured", "verdict", "to decide"]]
+    """Return a line for each claim: its first comparison, and the word of all of them."""
+    lines = [["claim", "first comparison", "paper", "here", "geometric mean", "verdict"]]
     for item in claims:
-        cells = [NOTHING] * 4
-        if (shown := item.deciding) is not None:
-            known = shown.paper is not None
-            paper = f"{shown.shown(shown.paper)} {shown.claim.unit}" if known else NOTHING
-            cells = [shown.planner, shown.against, paper, shown.interval_text(shown.gain)]
-        needed = NOTHING if item.needed is None else f"{item.needed} problems"
-        lines.append([item.claim.title, *cells, str(item.word), needed])
+        cells = ["–"] * 4
+        if item.comparisons:
+            first = item.comparisons[0]
+            paper, means, geometric, _ = first.cells
+            cells = [f"{first.planner} / {first.baseline}", paper, means, geometric]
+        lines.append([item.claim.title, *cells, item.word])
+    return lines
+
+
+def comparison_lines(comparisons: Iterable[Comparison]) -> Lines:
+    """Return a line for each comparison of a claim, with the words for other prices."""
+    lines = [
+        ["planner", "against", "paper", "here", "geometric mean", "problems", "failed", "word"]
+        + ["other network times", "cheap kinematics", "to decide"]
+    ]
+    for item in comparisons:
+        others = {f"{name}: {word}" for name, word in item.words.items() if word is not item.word}
+        cheap = "–"
+        if item.pybullet is not None:
+            effect, word = item.pybullet
+            cheap = f"{estimate(effect.means)}, {word}"
+        *numbers, word = item.cells
+        lines.append(
+            [item.planner, item.baseline, *numbers, str(item.count), "{} / {}".format(*item.failed)]
+            + [word, "; ".join(sorted(others)) or "–", cheap]
+            + ["–" if item.needed is None else f"{item.needed} problems"]
+        )
     return lines
 
 
 def beside_lines(own: Sequence[JudgedClaim], committed: Sequence[JudgedClaim]) -> Lines:
-    """Return a line per claim: numbers and verdict of own rows, verdict of committed rows."""
-    lines = [["claim", "against", "measured", "own verdict", "committed verdict"]]
+    """Return a line per claim: numbers and word of own rows, word of committed rows."""
+    lines = [["claim", "first comparison", "here", "own verdict", "committed verdict"]]
     for line, known in zip(summary_lines(own)[1:], committed, strict=True):
-        claim, _, against, _, measured, word, _ = line
-        lines.append([claim, against, measured, word, str(known.word)])
+        claim, first, _, means, _, word = line
+        lines.append([claim, first, means, word, known.word])
     return lines
 
 
-def opening(claims: Sequence[JudgedClaim]) -> str:
-    """Return one paragraph with the number of claims per verdict, and the main reason."""
-    count = Counter(item.word for item in claims)
-    words = [Word.REPLICATED, Word.SMALLER, Word.SAME, Word.OPPOSITE, Word.OPEN]
-    words += [word for word in (Word.UNTESTABLE, Word.NO_ROWS) if count[word]]
-    counted = ", ".join(f"{count[word]} {word.rpartition(', ')[2]}" for word in words)
-    return f"**Replication of method and claims with own weights: {counted}.**\n\n{BECAUSE.strip()}"
-
-
-def decomposition_lines(evidence: Evidence) -> Lines:
-    """Return paired changes of each step from the paper's CBiRRT to our own planners."""
-    groups = by_planner(evidence.rows, ())
-    found = [
-        ([step, planner, against], groups, planner, against) for step, planner, against in STEPS
-    ]
-    return _change_lines(["step", "planner", "against"], found)
-
-
-def kitchen_lines(found: Mapping[str, Evidence]) -> Lines:
-    """Return changes of planners relative to `birrt`, in the known and in the unseen kitchen."""
-    kitchens = {word: by_planner(found[suite].rows, ()) for suite, word in KITCHENS.items()}
-    planners = (CVQ, OPT, "birrt-printed", "cvq-tuned", "roadmap", "roadmap-cvq", CBIRRT)
-    pairs = product(planners, kitchens.items())
-    rows = [([name, word], groups, name, REFERENCE) for name, (word, groups) in pairs]
-    return _change_lines(["planner", "kitchen"], rows)
-
-
-def _change_lines(
-    head: Sequence[str], rows: Iterable[tuple[list[str], Mapping[str, Rows], str, str]]
-) -> Lines:
-    """Return changes; rows: first cells, rows by planner, planner, baseline."""
-    lines = [[*head, *CHANGE_COLUMNS]]
-    for cells, groups, planner, against in rows:
-        if planner in groups and against in groups:
-            for value in CHANGE_COLUMNS.values():
-                pairs = paired(groups[planner], groups[against], VALUES[value])
-                cells.append(change(mean_ratio(pairs)))
-            lines.append(cells)
-    return lines
+def counted(claims: Sequence[JudgedClaim]) -> str:
+    """Return the number of claims for each word, such as "3 replicated, 1 mixed"."""
+    count = Counter(item.word.partition(" (")[0] for item in claims)
+    words = ["replicated", "mixed", *(str(word) for word in list(Word)[1:])]
+    return ", ".join(f"{count[word]} {word}" for word in words if count[word])
 
 
 def page_text(found: Mapping[str, Evidence], claims: Sequence[JudgedClaim], root: Path) -> str:
     """Return the page of claims; its links are relative to the folder `root`."""
-    used = {name for item in claims for name in (item.claim.suite, item.claim.again)}
-    used |= KITCHENS.keys()
+    used = {name for item in claims for name in item.claim.suites}
+    used |= {"place-task-published", "place-task-seconds", "histogram"}
     return rendered(
         "claims.md.j2",
         banner=banner(found),
         pictures=root == PAGE.parent,
-        opening=opening(claims),
+        quoted=Quoted(found),
+        count=counted(claims),
         summary=summary_lines(claims),
+        level=100.0 * (1.0 - sentence_level()),
         reading=reading(),
         claims=claims,
-        steps=decomposition_lines(found["place-task"]) if "place-task" in found else [],
-        prices=price_lines(found["place-task"]) if "place-task" in found else [],
-        kitchens=kitchen_lines(found) if found.keys() >= KITCHENS.keys() else [],
-        reference=REFERENCE,
+        titles=PAPER_TABLES,
+        tables={name: paper_lines(found[name]) for name in PAPER_TABLES if name in found},
+        transfer=transfer_lines(found["place-task-seconds"])
+        if "place-task-seconds" in found
+        else [],
+        mechanisms=mechanism_lines(found),
         results=[_made_by(item, root) for name, item in found.items() if name in used],
     )
+
+
+def paper_lines(evidence: Evidence) -> Lines:
+    """Return the paper's table beside these rows, as the suite's own table has it."""
+    sections = table_of(evidence.rows).sections
+    return next(lines for title, lines in sections.items() if title.startswith("The paper's"))
 
 
 def _made_by(evidence: Evidence, root: Path) -> dict[str, Any]:
@@ -249,7 +247,9 @@ def report_html(
         title: title of the page.
         verdicts: whether to judge the paper's claims by these rows.
     """
-    claims = [item for item in judged_claims(found) if item.evidence] if verdicts else []
+    claims = judged_claims(found) if verdicts else []
+    if not any(item.comparisons for item in claims):
+        claims = []
     sections: list[dict[str, Any]] = []
     for evidence in found.values():
         report(len(sections), len(found))
@@ -264,13 +264,8 @@ def report_html(
         verdicts=verdicts,
         banner=banner(found),
         claims=summary_lines(claims) if claims else [],
-        styles={
-            Word.REPLICATED: "holds",
-            Word.SMALLER: "part",
-            Word.OPEN: "part",
-            Word.SAME: "not",
-            Word.OPPOSITE: "not",
-        },
+        styles={str(Word.REPLICATED): "holds", str(Word.SAME): "not", str(Word.OPPOSITE): "not"},
+        untested=[str(Word.NO_ROWS), str(Word.UNTESTABLE)],
         reading=reading(),
         sections=sections,
         # input of the page's script, which inflates it

@@ -1,7 +1,6 @@
 """Plots of rows and verdicts, by matplotlib without a display; how figures draw a planner."""
 
 import io
-import math
 from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
@@ -14,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from cvqmpt_lab.paper_tables.judging import Verdict, Word
+from cvqmpt_lab.paper_tables.claims import JudgedClaim
 from cvqmpt_lab.paper_tables.measures import (
     PUBLISHED_PRICES,
     REFERENCE,
@@ -23,6 +22,7 @@ from cvqmpt_lab.paper_tables.measures import (
     paired,
     time_at,
 )
+from cvqmpt_lab.paper_tables.rule import Word
 from cvqmpt_lab.results.row import ResultRow
 from cvqmpt_lab.results.statistics import Interval, ProblemKey, problem_key
 
@@ -64,6 +64,8 @@ WORD_COLOURS = {
     Word.SAME: "#70757d",
     Word.OPPOSITE: "#b42318",
     Word.OPEN: "#c98a1b",
+    Word.STATISTIC: "#7a5195",
+    Word.HARDWARE: "#2f6f9f",
 }
 OURS = "roadmap"  # drawn with a thick line
 WIDTH = 7.6  # [inches]
@@ -131,32 +133,31 @@ def profile(groups: Groups, kind: str) -> Figure:
 
 
 @matplotlib.rc_context(STYLE)
-def forest(verdicts: Sequence[Verdict]) -> bytes:
-    """Every comparison with its interval and the paper's number, as png; shares have a panel."""
-    parts = [
-        [x for x in verdicts if x.pairs and x.claim.is_share is part] for part in (False, True)
+def forest(claims: Sequence[JudgedClaim]) -> bytes:
+    """Return the first ratio of each claim with its interval and the paper's number, as png."""
+    lines = [
+        (item.claim.title, first, first.effect.means)
+        for item in claims
+        if (first := next(iter(item.comparisons), None)) and first.effect
     ]
-    heights = [max(1, len(part)) for part in parts]
-    figure = Figure(figsize=(WIDTH + 2.4, 1.6 + 0.19 * sum(heights)), layout="constrained")
-    panels = figure.subplots(2, 1, height_ratios=heights)
-    labels = "planner's number / baseline's", "more solved than the baseline [points]"
-    for shares, axes, part, label in zip((False, True), panels, parts, labels, strict=True):
-        at = (lambda gain: 100.0 * gain) if shares else (lambda gain: math.exp(-gain))
-        for place, item in enumerate(part):
-            gain, colour = item.gain, WORD_COLOURS[item.word]
-            if gain.low is not None and gain.high is not None:
-                axes.plot([at(gain.low), at(gain.high)], [place] * 2, color=colour, linewidth=2.2)
-            axes.plot(at(gain.estimate), place, "o", color=colour, markersize=4.5)
-            if item.paper is not None:
-                axes.plot(at(item.paper), place, "D", color="black", markersize=5, fillstyle="none")
-        titles = [f"{x.claim.title}: {x.planner} / {x.against}" for x in part]
-        axes.set_yticks(range(len(part)), titles, fontsize=7)
-        axes.set_ylim(len(part) - 0.4, -0.6)
-        axes.axvline(at(0.0), color="black", linewidth=0.8)
-        _finish(axes, label, "", legend=False, log=not shares)
-    panels[0].xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    panels[0].axvspan(0.9, 1.0 / 0.9, color="0.92", zorder=0)
-    marks = [Line2D([], [], color=c, marker="o", label=w) for w, c in WORD_COLOURS.items()]
+    figure = Figure(figsize=(WIDTH, 1.3 + 0.34 * len(lines)), layout="constrained")
+    axes = figure.subplots()
+    for place, (_, first, ratio) in enumerate(lines):
+        colour = WORD_COLOURS[first.word]
+        ends = np.array([ratio.low, ratio.estimate, ratio.high], dtype=float)
+        axes.plot(ends[[0, 2]], [place] * 2, color=colour, linewidth=3.0)
+        axes.plot(ends[1], place, "o", color=colour)
+        if first.paper is not None:
+            axes.plot(first.paper, place, "D", color="black", markersize=6, fillstyle="none")
+    names = [f"{title}\n{x.planner} / {x.baseline}" for title, x, _ in lines]
+    axes.set_yticks(range(len(lines)), names, fontsize=8)
+    axes.set_ylim(len(lines) - 0.4, -0.6)
+    axes.axvline(1.0, color="black", linewidth=0.8)
+    axes.axvspan(0.9, 1.0 / 0.9, color="0.92", zorder=0)
+    _finish(axes, "planner / baseline, ratio of means; below 1 is what the paper says", "", False)
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    used = dict.fromkeys(first.word for _, first, _ in lines)
+    marks = [Line2D([], [], color=WORD_COLOURS[w], marker="o", label=w) for w in used]
     style: Any = {"marker": "D", "fillstyle": "none", "linestyle": "none"}
     marks.append(Line2D([], [], color="black", label="the paper's number", **style))
     figure.legend(handles=marks, loc="outside upper center", ncols=3, frameon=False)

@@ -7,20 +7,35 @@ statistic. The rule knows no suite and no planner. It was committed before any r
 
 import math
 from collections.abc import Mapping, Sequence
-from statistics import NormalDist
+from enum import StrEnum
+from statistics import NormalDist, fmean
 from typing import NamedTuple
 
 import numpy as np
 
 from cvqmpt_lab.base.errors import InvalidInputError
-from cvqmpt_lab.paper_tables import judging
-from cvqmpt_lab.paper_tables.judging import Word, sample_size, share_gain
 from cvqmpt_lab.results.statistics import Interval, student_interval
 
+LEVEL = 0.05  # limit of the probability that any sentence is wrongly *replicated*
+SHARE_MARGIN = 0.05  # difference of solved shares that counts as none
 FEWEST_PROBLEMS = 30  # for an interval; with 60 of a wide spread it holds the truth in 87 % only
 WIDEST_FACTOR = 1.5  # largest ratio of a bound and the estimate of a replicated effect
 NO_DIFFERENCE = (0.9, 1.0 / 0.9)  # ratios that count as no difference
 LARGEST_WITHOUT_NUMBER = 0.9  # ratio that must not be excluded where the paper prints no number
+
+
+class Word(StrEnum):
+    """Result of a sentence's comparison with one baseline."""
+
+    REPLICATED = "replicated"
+    SMALLER = "same direction, smaller"
+    SAME = "no difference"
+    OPPOSITE = "opposite"
+    OPEN = "inconclusive"
+    STATISTIC = "depends on the statistic"
+    HARDWARE = "depends on hardware"
+    NO_ROWS = "no rows yet"
+    UNTESTABLE = "not testable"
 
 
 class Effect(NamedTuple):
@@ -128,31 +143,55 @@ def word_on_all_hardware(words: Mapping[str, Word]) -> Word:
     return different.pop() if len(different) == 1 else Word.HARDWARE
 
 
-def claim_word(words: Mapping[str, Word]) -> str:
-    """Return the word of a claim: that of all baselines, or "mixed (2 of 3)" where they differ.
+def claim_word(words: Sequence[Word]) -> str:
+    """Return the word of a claim: that of all comparisons, or "mixed (2 of 3)" where they differ.
 
-    words: by baseline. The first number is that of the replicated ones.
+    words: of the comparisons. The first number is that of the replicated ones.
     """
-    different = set(words.values())
+    different = set(words)
     if len(different) == 1:
         return str(different.pop())
-    replicated = sum(word is Word.REPLICATED for word in words.values())
-    return f"mixed ({replicated} of {len(words)})"
+    return f"mixed ({words.count(Word.REPLICATED)} of {len(words)})"
 
 
-def share_word(own: Sequence[bool], other: Sequence[bool], level: float, margin: float) -> Word:
-    """Return the word of "solves as many": paired difference of solved shares, Agresti and Min.
+def share_gain(own: Sequence[bool], other: Sequence[bool], level: float) -> Interval:
+    """Return the paired difference of solved shares with Student's interval.
+
+    Two pseudo-problems are added, one for each side (Agresti and Min 2005). Without them, ten of
+    ten solved by both planners would be certain to be equal.
 
     Args:
         own: whether the planner solved each problem within the paper's cut-off.
         other: the same of the baseline.
         level: of the interval, two-sided.
-        margin: largest loss that is no loss, a share.
     """
-    if len(own) < FEWEST_PROBLEMS:
-        return Word.OPEN
     gains = [float(a) - float(b) for a, b in zip(own, other, strict=True)]
-    return judging.word_of(share_gain(gains, level), margin, 0.0, similar=True)
+    if len(gains) < FEWEST_PROBLEMS:
+        return Interval(fmean(gains) if gains else None, None, None, len(gains))
+    found = student_interval([*gains, math.sqrt(0.5), -math.sqrt(0.5)], 1.0 - level)
+    return found._replace(estimate=fmean(gains), n=len(gains))
+
+
+def share_word(gain: Interval, paper: float | None, similar: bool) -> Word:
+    """Return the word of a difference of solved shares.
+
+    Args:
+        gain: of `share_gain`.
+        paper: the paper's difference.
+        similar: whether the claim is that not many fewer are solved, see SHARE_MARGIN.
+    """
+    low, high = gain.low, gain.high
+    if low is None or high is None:
+        return Word.OPEN
+    if similar:
+        if low > -SHARE_MARGIN:
+            return Word.REPLICATED
+        return Word.OPPOSITE if high < -SHARE_MARGIN else Word.OPEN
+    if low > 0.0:
+        return Word.REPLICATED if high >= (paper or 0.0) else Word.SMALLER
+    if high < 0.0:
+        return Word.OPPOSITE
+    return Word.SAME if low >= -SHARE_MARGIN and high <= SHARE_MARGIN else Word.OPEN
 
 
 def pooled(effects: Sequence[Interval], level_of_each: float, level: float) -> Interval:
@@ -202,3 +241,24 @@ def problems_needed(own: Sequence[float], other: Sequence[float], level: float) 
         )
     spread = float(np.std((ours - ratio * theirs) / ours.mean(), ddof=1))
     return sample_size(spread / abs(math.log(ratio)), level)
+
+
+def sample_size(ratio: float, level: float, power: float = 0.8) -> int:
+    """Return the number of values whose mean a t test distinguishes from a number.
+
+    Args:
+        ratio: standard deviation of the values, divided by the distance of their mean from the
+            number.
+        level: two-sided level of the test.
+        power: probability that the test does so.
+    """
+    from scipy.special import stdtrit  # slow to import
+
+    fewest = 3
+    count, last = fewest, 0
+    for _ in range(30):  # fixed-point iteration: the quantiles depend on the count
+        quantiles = stdtrit(count - 1, 1.0 - level / 2.0) + stdtrit(count - 1, power)
+        last, count = count, max(fewest, math.ceil((float(quantiles) * ratio) ** 2))
+        if abs(count - last) <= 1:
+            break
+    return max(count, last)

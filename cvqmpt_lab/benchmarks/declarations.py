@@ -106,16 +106,6 @@ def _place_suites() -> list[Suite]:
             paper=paper,
         ),
         Suite(
-            name="place-task-more",
-            title="Place task, 2000 more problems for claims that the first ones left open",
-            problems=range(2000, 4000),  # no tuning used them
-            make=place_problem,
-            shown_in_hand=can,
-            planners=(*PlannerGroups.claimed, "mpnet"),
-            amounts=(Amount(late=True),),
-            paper=paper,
-        ),
-        Suite(
             name="place-task-with-can",
             title="Place task, the carried can in the way",
             problems=range(150),
@@ -615,13 +605,6 @@ def _task_suites() -> list[Suite]:
                 Amount(profile="paper", problems=10, planners=PlannerGroups.paper),
                 Amount(profile="small", problems=2, cutoff=2.0, planners=PlannerGroups.few),
             ),
-        ),
-        multi_sequence(
-            name="multi-sequence-more",
-            title="Multi-sequence task, 750 more tasks for claims that the first ones left open",
-            problems=range(66, 816),
-            planners=PlannerGroups.claimed,
-            amounts=(Amount(late=True),),
         ),
         multi_sequence(
             name="multi-sequence-published",

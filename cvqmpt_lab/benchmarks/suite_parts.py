@@ -53,8 +53,7 @@ class PlannerGroups:
     every = (*quick[:4], *slow, "ompl-bkpiece", *quick[4:])
     # the paper's experiment, in suites of its own
     in_ompl = ("ompl-uniform", "ompl-mpnet", "ompl-cvq", "ompl-opt-cvq", "ompl-cvq-tuned")
-    claimed = ("ompl-projected", "cvq-mpt", "opt-cvq-mpt")  # those of the paper's main claims
-    few = ("birrt", *claimed, "roadmap-cvq")
+    few = ("birrt", "ompl-projected", "cvq-mpt", "opt-cvq-mpt", "roadmap-cvq")
     tuned = (*few, "birrt-printed", "cvq-tuned")
     # `cvq-tuned` along straight lines instead of predicted sequences, and random roadmaps
     without_learning = (

@@ -1,19 +1,15 @@
-"""The rule of verdicts on made and committed rows, measures, and the comparison of two runs."""
+"""Measures of rows, and the comparison of two runs."""
 
 import json
 import math
 from itertools import product
-from statistics import fmean
 
-import numpy as np
 import pytest
 from command_line import refused as one_line
 from made_rows import a_failure, a_results_folder, a_row
 from refusals import refused
 
-from cvqmpt_lab.paper_tables.claims import verdicts_of
 from cvqmpt_lab.paper_tables.compare_runs import Rule, clear, compared
-from cvqmpt_lab.paper_tables.judging import Word, sample_size, word_of
 from cvqmpt_lab.paper_tables.measures import (
     censored,
     mean_ratio,
@@ -23,179 +19,6 @@ from cvqmpt_lab.paper_tables.measures import (
     time_at,
     work,
 )
-from cvqmpt_lab.paper_tables.statements import Claim, PublishedValue
-from cvqmpt_lab.results.statistics import Interval, student_interval
-
-REPLICATED, SMALLER, SAME = Word.REPLICATED, Word.SMALLER, Word.SAME
-OPPOSITE, OPEN, NO_ROWS = Word.OPPOSITE, Word.OPEN, Word.NO_ROWS
-TEN = -math.log(0.9)  # the gain of ten percent less
-
-
-def claim(metric="time", baselines=("b",), **more):
-    """Return the claim that `a` has a smaller metric than `b`."""
-    return Claim(metric, ("a",), "made", "", "made", baselines, **more)
-
-
-FASTER, MORE = claim(cutoff="rows"), claim("accuracy", margin=0.05)
-AS_MANY = claim("accuracy", margin=0.05, similar=True)
-
-
-def in_paper(metric="time", **values):
-    """Return published values of a metric by planner."""
-    return [PublishedValue("I", "made", k, k, metric, str(x), "", "") for k, x in values.items()]
-
-
-HALF = in_paper(a=5, b=10)
-
-
-def made_rows(ratio=1.0, problems=60, spread=0.3, seeds=2, failing=(), shares=None):
-    """Rows of `a` and `b`: times with a known geometric mean of their ratio.
-
-    failing: planners and problems that fail; shares: fraction of runs that each planner solves.
-    """
-    rng, rows = np.random.default_rng(3), []
-    for k in range(problems):
-        hard = float(rng.lognormal(0.0, 1.0))
-        for seed, (name, factor) in product(range(seeds), (("a", ratio), ("b", 1.0))):
-            solved = (name, k) not in failing
-            if shares:
-                solved = (k % 20) < 20 * shares[name]
-            values = {"planner": name, "seed": seed, "t_total_s": 10.0}
-            if solved:
-                values["t_total_s"] = 0.1 * hard * factor * float(rng.lognormal(0.0, spread))
-            rows.append((a_row if solved else a_failure)(f"p{k}", **values))
-    return rows
-
-
-def word(rows, of=FASTER, published=HALF, level=0.01):
-    (found,) = verdicts_of(of, rows, published, 10.0, level)
-    return found.word
-
-
-@pytest.mark.parametrize(
-    ("low", "high", "expected"),
-    [
-        (0.9, 1.2, REPLICATED),  # beyond the paper's number
-        (0.1, 0.7, REPLICATED),  # reaches it
-        (0.1, 0.5, SMALLER),
-        (0.01, 0.1, SAME),
-        (-0.1, 0.1, SAME),
-        (-0.1, -0.01, SAME),
-        (-0.2, -0.01, OPPOSITE),
-        (-0.2, 0.1, OPEN),
-        (-0.1, 0.7, OPEN),
-        (None, None, OPEN),
-    ],
-)
-def test_the_word_is_where_the_interval_lies(low, high, expected):
-    gain = Interval(None if low is None else (low + high) / 2.0, low, high, 20)
-    assert word_of(gain, TEN, reached=0.6) is expected
-
-
-def test_similar_is_not_worse_by_more_than_the_margin():
-    for low, high, expected in (
-        (-0.04, -0.01, REPLICATED),
-        (0.1, 0.3, REPLICATED),
-        (-0.06, 0.1, OPEN),
-        (-0.2, -0.06, OPPOSITE),
-    ):
-        assert word_of(Interval(0.0, low, high, 9), 0.05, 0.05, similar=True) is expected
-
-
-def test_a_known_effect_gets_its_word():
-    """The paper's ratio is 0.5; a ratio of 0.55 is nine tenths of this effect."""
-    for ratio, expected in {0.3: REPLICATED, 0.5: REPLICATED, 0.75: SMALLER, 1.5: OPPOSITE}.items():
-        assert word(made_rows(ratio)) is expected, ratio
-    assert word(made_rows(1.0, spread=0.1)) is SAME
-    assert word(made_rows(0.85), published=()) is REPLICATED, "without a number any gain is one"
-    assert word(made_rows(0.97, spread=0.02), published=()) is SAME, "but not one below the margin"
-    assert word(made_rows(0.98, spread=0.01), published=in_paper(a=98, b=100)) is REPLICATED
-    for planner, shares in (("a", {"a": 0.9, "b": 0.3}), ("b", {"a": 0.3, "b": 0.9})):
-        expected = REPLICATED if planner == "a" else OPPOSITE
-        assert word(made_rows(shares=shares), MORE, in_paper("accuracy", a=98, b=34)) is expected
-    assert word(made_rows(shares={"a": 0.9, "b": 0.6}), MORE, in_paper("accuracy", a=98, b=34)) is (
-        SMALLER
-    )
-
-
-def test_more_problems_end_an_inconclusive_and_about_as_many_as_foretold():
-    few = made_rows(1.6, problems=20, spread=1.0, seeds=1)
-    (found,) = verdicts_of(FASTER, few, HALF, 10.0, 0.01)
-    assert found.word is OPEN and 20 < found.needed < 1000
-    assert word(made_rows(1.6, 2 * found.needed, 1.0, 1)) is OPPOSITE
-    equal = verdicts_of(FASTER, made_rows(1.0, 20, 0.4, 1), HALF, 10.0, 0.01)[0]
-    assert equal.word is OPEN
-    assert word(made_rows(1.0, 2 * equal.needed, 0.4, 1)) is SAME
-    assert verdicts_of(FASTER, made_rows(0.5), HALF, 10.0, 0.01)[0].needed is None
-
-
-def test_the_size_of_a_sample_has_the_power_that_it_promises():
-    """Half a standard deviation, two-sided 5 %, 80 %: 34 (any table of t tests)."""
-    assert sample_size(2.0, 0.05) in (33, 34, 35)
-    rng, n = np.random.default_rng(0), sample_size(2.0, 0.01)
-    told = [student_interval(rng.normal(0.5, 1.0, n), 0.99).low > 0.0 for _ in range(600)]
-    assert 0.75 < fmean(told) < 0.87
-
-
-def test_a_failed_run_counts_as_the_cutoff_for_whoever_failed():
-    """The planner takes half of the time, but a third of its problems failed and count as 10 s."""
-    for planner, expected in (("a", OPPOSITE), ("b", REPLICATED)):
-        rows = made_rows(0.5, failing={(planner, k) for k in range(20)})
-        (found,) = verdicts_of(FASTER, rows, HALF, 10.0, 0.01)
-        assert found.word is expected and len(found.pairs) == 60
-        assert found.failed == ((40, 0, 120) if planner == "a" else (0, 40, 120))
-        (pair,) = (pair for pair in found.pairs if pair.problem == "p0")
-        assert max(pair.own, pair.other) == 10.0
-    early = [a_failure("p0", "a", t_total_s=0.1), a_row("p0", "b", t_total_s=1.0)]
-    (found,) = verdicts_of(FASTER, early, (), 10.0, 0.01)
-    assert found.pairs[0].own == 10.0, "however early it gave up"
-
-
-def test_counts_have_the_largest_number_as_cutoff_and_lengths_are_of_both():
-    rows = [a_row("p0", n, n_projections=x, path_length_rad=5.0) for n, x in (("a", 10), ("b", 90))]
-    rows += [a_row("p1", "a", n_projections=20, path_length_rad=5.0), a_failure("p1", "b")]
-    (counted,) = verdicts_of(claim("projections", cutoff="largest"), rows, (), 10.0)
-    assert [pair.values for pair in counted.pairs] == [[(10, 90)], [(20, 90)]]
-    (length,) = verdicts_of(claim("path_length"), rows, (), 10.0)
-    assert len(length.pairs) == 1 and length.failed == (0, 1, 2)
-    assert verdicts_of(claim("extensions", cutoff="largest"), rows)[0].word is NO_ROWS
-
-
-def test_seeds_of_a_problem_count_once():
-    (one,) = verdicts_of(FASTER, made_rows(0.8, 30, seeds=1), (), 10.0)
-    again = [row for seed in range(5) for row in made_rows(0.8, 30, seeds=1)]
-    rows = [a_row(**{**vars(row), "seed": k // 60}) for k, row in enumerate(again)]
-    (five,) = verdicts_of(FASTER, rows, (), 10.0)
-    assert five.gain.n == 30 and five.gain[:3] == pytest.approx(one.gain[:3])
-
-
-def test_all_solved_by_both_is_not_certain_to_be_equal():
-    for problems, expected in ((10, OPEN), (300, REPLICATED)):
-        assert word(made_rows(problems=problems), AS_MANY, ()) is expected
-    (found,) = verdicts_of(AS_MANY, made_rows(problems=10), (), 10.0, 0.01)
-    assert found.gain.estimate == 0.0 and found.gain.low < -0.1 and found.needed > 10
-    fewer = made_rows(problems=20, shares={"a": 0.85, "b": 0.95})
-    of = claim("accuracy", margin=0.3, similar=True)
-    (found,) = verdicts_of(of, fewer, (), 10.0, 0.01)
-    assert found.word is OPEN and 20 < found.needed < 60, "0.2 from the margin, spread 0.3"
-
-
-def test_kinds_are_not_pooled():
-    rows = []
-    for kind, ratio in (("door", 0.2), ("upright", 3.0)):
-        for k, row in enumerate(made_rows(ratio, 30)):
-            rows.append(a_row(**{**vars(row), "problem": f"{k // 4}/1-{kind}"}))
-    found = verdicts_of(claim(cutoff="rows", by_kind=True), rows, (), 10.0)
-    assert {x.against: x.word for x in found} == {"b, door": REPLICATED, "b, upright": OPPOSITE}
-
-
-def test_what_single_runs_resolve_is_wider_than_what_all_runs_do():
-    (found,) = verdicts_of(claim(cutoff="rows", runs=20), made_rows(0.5, seeds=4), HALF, 10.0, 0.05)
-    resolved, gain = found.resolved, found.gain
-    assert resolved.n == 20 and resolved.low < math.log(2.0) < resolved.high
-    assert resolved.high - resolved.low > gain.high - gain.low
-    assert found.inside is (gain.low <= math.log(2.0) <= gain.high)
-    assert found.heaviest < 0.5 and abs(found.means - math.log(2.0)) < 0.4
 
 
 def test_the_papers_cost_prices_checks_projections_and_newton_steps():

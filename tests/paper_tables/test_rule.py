@@ -7,20 +7,22 @@ import numpy as np
 import pytest
 from refusals import refused
 
-from cvqmpt_lab.paper_tables.judging import Word
 from cvqmpt_lab.paper_tables.measures import search_cost
 from cvqmpt_lab.paper_tables.rule import (
     Effect,
+    Word,
     claim_word,
     pooled,
     problems_needed,
     ratio_of_means,
+    sample_size,
+    share_gain,
     share_word,
     word_of,
     word_on_all_hardware,
 )
 from cvqmpt_lab.results.row import read_rows
-from cvqmpt_lab.results.statistics import Interval
+from cvqmpt_lab.results.statistics import Interval, student_interval
 
 RESULTS = Path(__file__).parents[2] / "paper_tables" / "results"
 
@@ -90,18 +92,34 @@ def test_equal_values_have_a_certain_ratio():
 
 def test_claims_of_several_baselines_and_machines():
     R, S = Word.REPLICATED, Word.SMALLER
-    assert claim_word({"a": R, "b": R, "c": R}) == "replicated"
-    assert claim_word({"a": R, "b": S, "c": R}) == "mixed (2 of 3)"
+    assert claim_word([R, R, R]) == "replicated"
+    assert claim_word([R, S, R]) == "mixed (2 of 3)"
     assert word_on_all_hardware({"0 s": R, "this machine": R}) is R
     assert word_on_all_hardware({"0 s": R, "this machine": Word.OPPOSITE}) is Word.HARDWARE
 
 
 def test_shares_of_solved_problems():
-    solved = [True] * 190 + [False] * 10
-    assert share_word(solved, solved, LEVEL, 0.05) is Word.REPLICATED
-    assert share_word([True] * 100 + [False] * 100, solved, LEVEL, 0.05) is Word.OPPOSITE
-    assert share_word(solved[:40], [True] * 40, 0.001, 0.01) is Word.OPEN
-    assert share_word([True], [True], LEVEL, 0.05) is Word.OPEN
+    solved, half = [True] * 190 + [False] * 10, [True] * 100 + [False] * 100
+    for own, other, paper, similar, expected in (
+        (solved, solved, None, True, Word.REPLICATED),
+        (half, solved, None, True, Word.OPPOSITE),
+        (solved[:40], [True] * 40, None, True, Word.OPEN),
+        ([True], [True], None, True, Word.OPEN),
+        (solved, half, 0.4, False, Word.REPLICATED),
+        (solved, half, 0.7, False, Word.SMALLER),
+        (half, solved, 0.7, False, Word.OPPOSITE),
+        (solved, solved, 0.7, False, Word.SAME),
+    ):
+        level = LEVEL if len(own) != 40 else 0.001
+        assert share_word(share_gain(own, other, level), paper, similar) is expected
+
+
+def test_the_size_of_a_sample_has_the_power_that_it_promises():
+    """Half a standard deviation, two-sided 5 %, 80 %: 34 (any table of t tests)."""
+    assert sample_size(2.0, 0.05) in (33, 34, 35)
+    rng, n = np.random.default_rng(0), sample_size(2.0, 0.01)
+    told = [student_interval(rng.normal(0.5, 1.0, n), 0.99).low > 0.0 for _ in range(600)]
+    assert 0.75 < np.mean(told) < 0.87
 
 
 def test_kinds_are_pooled_with_the_spread_between_them():

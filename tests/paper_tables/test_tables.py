@@ -17,9 +17,8 @@ from refusals import refused
 
 from cvqmpt_lab.base.errors import RunStoreError
 from cvqmpt_lab.paper_tables import committed, pages
-from cvqmpt_lab.paper_tables.claims import evidence_below, judged_claims
+from cvqmpt_lab.paper_tables.claims import evidence_below
 from cvqmpt_lab.paper_tables.committed import RESULTS
-from cvqmpt_lab.paper_tables.judging import Word
 from cvqmpt_lab.paper_tables.layouts import place_table
 from cvqmpt_lab.paper_tables.motion_bench_table import class_lines
 from cvqmpt_lab.paper_tables.plots import COLOURS, OURS, line_style, profile
@@ -150,10 +149,6 @@ def committed_evidence():
     return evidence_below(RESULTS)
 
 
-def by_title(results):
-    return {item.claim.title: item for item in judged_claims(evidence_below(results))}
-
-
 def test_the_committed_page_and_the_readme_are_what_the_command_writes_from_the_rows(
     committed_evidence,
 ):
@@ -164,42 +159,12 @@ def test_the_results_begin_with_advice_and_mark_clear_ratios(committed_evidence)
     shown = Quoted(committed_evidence).ratio("robots", "roadmap")
     assert clear(shown) == f"**{shown}**" and clear("1.2 [0.9, 1.3]") == "1.2 [0.9, 1.3]"
     text = (committed.DOCS / "results.md").read_text(encoding="utf-8")
-    assert text.index("(use.png)") < text.index("(forest.png)") < text.index("(comparisons.png)")
+    assert text.index("(use.png)") < text.index("(forest.png)")
     assert text.count("<details>") == text.count("</details>") >= 4
 
 
 def test_a_readme_without_marks_is_refused():
     refused("add both where", committed.with_part, "a README without marks", "answer", "")
-
-
-def test_a_claim_is_judged_against_all_planners_named(tmp_path):
-    """Time is a third of every baseline's; of all but one baseline's; one baseline has no rows."""
-    for ompl, atlas, expected, decided in (
-        (3.0, 3.0, Word.REPLICATED, "ompl-projected"),
-        (3.0, 0.5, Word.OPPOSITE, "atlas-rrt"),
-        (0.5, 3.0, Word.OPPOSITE, "ompl-projected"),
-        (3.0, 1.0, Word.SAME, "atlas-rrt"),
-    ):
-        others = {"ompl_projected": ompl, "atlas_rrt": atlas, "tb_rrt": None, "birrt": 0.1}
-        folder = tmp_path / f"{ompl} {atlas}"
-        folder.mkdir()
-        a_results_folder(folder, opt_cvq_mpt=1.0, **others)
-        found = by_title(folder)["Opt: twice as fast"]
-        assert found.word is expected and found.deciding.baseline == decided
-        assert "birrt" not in {verdict.baseline for verdict in found.verdicts}
-
-
-def test_a_second_look_judges_anew_the_comparisons_that_it_has(tmp_path):
-    a_results_folder(tmp_path, opt_cvq_mpt=1.0, ompl_projected=1.0, atlas_rrt=3.0, tb_rrt=3.0)
-    assert by_title(tmp_path)["Opt: twice as fast"].word is Word.SAME
-    (tmp_path / "second").mkdir()
-    a_results_folder(tmp_path / "second", opt_cvq_mpt=1.0, ompl_projected=3.0)
-    (tmp_path / "second" / "place-task").rename(tmp_path / "place-task-more")
-    found = by_title(tmp_path)
-    assert found["Opt: twice as fast"].word is Word.REPLICATED
-    assert len(found["Opt: twice as fast"].verdicts) == 3
-    # a claim with new rows uses them only for comparisons that they contain
-    assert found["Opt: at the paper's cost"].word is not Word.REPLICATED
 
 
 def test_a_roadmap_is_compared_by_the_work_of_birrt_and_where_it_held_no_path():
@@ -223,14 +188,6 @@ def test_a_roadmap_is_compared_by_the_work_of_birrt_and_where_it_held_no_path():
 def test_a_table_in_the_terminal_says_what_infinity_means():
     made = SuiteTable("place-task", "", (), {"": [["planner", "time [s]"], ["a", "∞"]]}, "")
     assert made.brief[-1].startswith("∞: a failed run counts as infinite")
-
-
-def test_claims_without_rows_say_so_and_what_cannot_be_tested_too(tmp_path):
-    found = by_title(a_results_folder(tmp_path, opt_cvq_mpt=1.0, ompl_projected=3.0))
-    titles = "Opt tasks: planning −45 %", "Opt: codes nearer", "Opt: twice as fast", "solve as many"
-    assert {found[title].word for title in titles} == {Word.NO_ROWS}, "or not of all planners"
-    assert found["complete"].word is Word.UNTESTABLE and found["complete"].deciding is None
-    assert found["Opt: shorter paths"].verdicts[0].word is Word.SAME, "all paths are 6 rad"
 
 
 def test_pictures_of_the_committed_rows_are_drawn_without_a_display(committed_evidence):
