@@ -18,6 +18,7 @@ from cvqmpt_lab.paper_tables.measures import (
     grouped,
     mean_ratio,
     paired,
+    problem_mean,
 )
 from cvqmpt_lab.paper_tables.ompl_table import PAPER_CUTOFF_S
 from cvqmpt_lab.paper_tables.rendering import published_of
@@ -200,14 +201,19 @@ def _compared_shares(
     solved = [(_solved(ours), _solved(other)) for part in parts for _, ours, other in part]
     paper = paper_number(claim, planner, baseline)
     gain = rule.share_gain(*zip(*solved, strict=True), level)
+    word = rule.share_word(gain, paper, claim.similar)
+    needed = None
+    if word is Word.OPEN and gain.n >= rule.FEWEST_PROBLEMS:
+        needed = max(gain.n + 1, rule.shares_needed(*zip(*solved, strict=True), level))
     return Comparison(
         planner=planner,
         baseline=baseline,
         count=len(solved),
         failed=_failures(parts),
         paper=paper,
-        word=rule.share_word(gain, paper, claim.similar),
+        word=word,
         gain=gain,
+        needed=needed,
     )
 
 
@@ -309,6 +315,26 @@ def transfer_lines(evidence: Evidence) -> Lines:
             pairs = paired(rows, runs.get(baseline, ()), VALUES["own_time"])
             cells.append("–" if planner == baseline else estimate(mean_ratio(pairs)))
         lines.append(cells)
+    return lines
+
+
+def task_lines(evidence: Evidence) -> Lines:
+    """Return the paper's Table II beside means over tasks: planning in the paper's currency."""
+    published = published_of(evidence.rows[0].suite)
+    numbers = {(IN_OMPL.get(x.planner, x.planner), x.metric): x.value for x in published}
+    metrics = {"planning_time": "planning", "execution_time": "execution", "total_time": "total"}
+    heads = (f"{name} [s], {who}" for name in metrics.values() for who in ("paper", "here"))
+    lines = [["planner", "tasks", *heads]]
+    for planner, runs in evidence.runs.items():
+        planning = [_cost(run, VALUES["search_cost"]) for run in runs.values()]
+        moving = [_size(run, VALUES["execution_time"]) for run in runs.values()]
+        both = zip(planning, moving, strict=True)
+        total = [a + b for a, b in both if a is not None and b is not None]
+        cells = []
+        for metric, values in zip(metrics, (planning, moving, total), strict=True):
+            mean = problem_mean([[x] for x in values if x is not None])
+            cells += [numbers.get((planner, metric), "–"), estimate(mean)]
+        lines.append([f"`{planner}`", str(len(runs)), *cells])
     return lines
 
 

@@ -142,7 +142,8 @@ def ompl_table(rows: Iterable[ResultRow], published: Sequence[PublishedValue] = 
         "vertices": "stored_vertices_mean",
         "path_length": "ompl_length_mean",
     }
-    paper = [["planner", *(f"{name}, {who}" for name in metrics for who in ("paper", "here"))]]
+    heads = (f"{name}, {who}" for name in metrics for who in ("paper", "here"))
+    paper = [["planner", *(head.replace("_", " ") for head in heads)]]
     for item in found:
         cells = [[item.paper_cell(name), item.cell(column)] for name, column in metrics.items()]
         paper.append([item.title, *(cell for pair in cells for cell in pair)])

@@ -17,6 +17,7 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from cvqmpt_lab.base.errors import InvalidInputError
+from cvqmpt_lab.benchmarks.declarations import SUITES
 from cvqmpt_lab.paper_tables.claims import (
     Comparison,
     Evidence,
@@ -27,6 +28,7 @@ from cvqmpt_lab.paper_tables.claims import (
     mechanism_lines,
     read_evidence,
     sentence_level,
+    task_lines,
     transfer_lines,
 )
 from cvqmpt_lab.paper_tables.measures import (
@@ -194,7 +196,9 @@ def page_text(found: Mapping[str, Evidence], claims: Sequence[JudgedClaim], root
 
 
 def paper_lines(evidence: Evidence) -> Lines:
-    """Return the paper's table beside these rows, as the suite's own table has it."""
+    """Return the paper's table beside these rows, in the paper's currency."""
+    if SUITES[evidence.rows[0].suite].of_tasks:
+        return task_lines(evidence)
     sections = table_of(evidence.rows).sections
     return next(lines for title, lines in sections.items() if title.startswith("The paper's"))
 

@@ -243,6 +243,19 @@ def problems_needed(own: Sequence[float], other: Sequence[float], level: float) 
     return sample_size(spread / abs(math.log(ratio)), level)
 
 
+def shares_needed(own: Sequence[bool], other: Sequence[bool], level: float) -> int:
+    """Return the number of problems whose difference of shares lies above -SHARE_MARGIN.
+
+    Args:
+        own: whether the planner solved each problem.
+        other: the same of the baseline.
+        level: level of the interval, two-sided.
+    """
+    gains = np.subtract(own, other, dtype=float)
+    away = max(abs(float(gains.mean()) + SHARE_MARGIN), 1e-3)
+    return sample_size(float(np.std([*gains, 0.5**0.5, -(0.5**0.5)])) / away, level)
+
+
 def sample_size(ratio: float, level: float, power: float = 0.8) -> int:
     """Return the number of values whose mean a t test distinguishes from a number.
 

@@ -1,0 +1,206 @@
+"""The paper's sentences on committed rows: words and numbers are computed again from csv files."""
+
+import csv
+import re
+from dataclasses import replace
+from statistics import NormalDist
+
+import numpy as np
+import pytest
+from made_rows import a_failure, a_row
+
+from cvqmpt_lab.paper_tables import claims as judged
+from cvqmpt_lab.paper_tables.claims import Evidence, comparisons, judged_claims, sentence_level
+from cvqmpt_lab.paper_tables.committed import README, RESULTS
+from cvqmpt_lab.paper_tables.rule import Word
+from cvqmpt_lab.paper_tables.statements import CLAIMS
+
+BY_TITLE = {claim.title: claim for claim in CLAIMS}
+
+
+def evidence(rows):
+    return Evidence(RESULTS, rows, {})
+
+
+def priced(planner, problem, checks, solved=True, suite="place-task-ompl", **more):
+    """A run whose cost is 3.5 ms for each check."""
+    make = a_row if solved else a_failure
+    counts = {"n_state_checks": checks, "n_projections": 0, "n_newton_iterations": 0}
+    return make(problem, planner, suite=suite, **counts, **more)
+
+
+def place_rows(**checks):
+    """Forty problems; the number of checks by planner grows with the problem."""
+    return [
+        priced(name.replace("_", "-"), f"{k}", count * (20 + k))
+        for name, count in checks.items()
+        for k in range(40)
+    ]
+
+
+def words(title, rows):
+    return [item.word for item in comparisons(BY_TITLE[title], (evidence(rows),), 0.05)]
+
+
+def test_a_sentence_has_a_word_for_each_baseline_that_has_rows():
+    rows = place_rows(ompl_cvq=10, ompl_projected=25, atlas_rrt=10, birrt=1)
+    assert words("almost twice as fast", rows) == [Word.REPLICATED, Word.SAME]
+    slower = place_rows(ompl_cvq=10, ompl_projected=5, atlas_rrt=12, tb_rrt=30)
+    assert words("almost twice as fast", slower) == [Word.OPPOSITE, Word.SMALLER, Word.REPLICATED]
+
+
+def test_a_failed_run_counts_as_the_cutoff_and_a_longer_run_no_more():
+    rows = [priced("ompl-projected", f"{k}", 50_000) for k in range(40)]  # 175 s
+    rows += [priced("ompl-cvq", f"{k}", 10_000, solved=k > 9) for k in range(40)]  # 35 s
+    (found,) = comparisons(BY_TITLE["almost twice as fast"], (evidence(rows),), 0.05)
+    assert found.effect.means.estimate == pytest.approx((10 * 100 + 30 * 35) / (40 * 100))
+    assert found.failed == (10, 0)
+
+
+def test_the_word_depends_on_hardware_where_networks_do():
+    rows = place_rows(ompl_cvq=10, ompl_projected=25)
+    slow = [replace(x, t_predict_s=9.0) if x.planner == "ompl-cvq" else x for x in rows]
+    (found,) = comparisons(BY_TITLE["almost twice as fast"], (evidence(slow),), 0.05)
+    assert found.word is Word.HARDWARE and found.words["this machine"] is Word.OPPOSITE
+
+
+def test_tasks_are_compared_where_both_reached_all_phases_that_the_paper_times():
+    def task(planner, k, last=True):
+        phases = {"1-reach-handle": 100, "2-open-door": 9_000, "3-reach-can": 100, "5-carry": 300}
+        for phase, checks in phases.items():
+            if phase != "5-carry" or last:
+                suite = "multi-sequence-published"
+                yield priced(
+                    planner, f"{k}/{phase}", checks * (1 + (planner != "ompl-cvq")), True, suite
+                )
+
+    rows = [row for k in range(40) for row in task("ompl-cvq", k)]
+    rows += [row for k in range(40) for row in task("ompl-projected", k, last=k < 35)]
+    found = comparisons(BY_TITLE["tasks: 45 % less planning time"], (evidence(rows),), 0.05)
+    assert [(x.planner, x.count) for x in found] == [("ompl-cvq", 35)]
+    assert found[0].effect.means.estimate == pytest.approx(0.5), "without the door"
+
+
+def test_kinds_are_pooled_over_suites():
+    claim = BY_TITLE["other constraints, without training"]
+    rng = np.random.default_rng(0)
+    parts = []
+    for suite, kinds in (("constraints-ompl", "ab"), ("constraints-more-ompl", "cd")):
+        rows = []
+        for place, kind in enumerate(kinds, start=1):
+            for k in range(30):
+                name, checks = f"{k}/{place}-{kind}", int(rng.uniform(1000, 5000))
+                rows.append(priced("ompl-projected", name, checks, suite=suite))
+                rows.append(
+                    priced("ompl-cvq", name, int(0.6 * checks * rng.uniform(0.9, 1.1)), suite=suite)
+                )
+        parts.append(evidence(rows))
+    (found,) = comparisons(claim, tuple(parts), 0.05)
+    assert found.word is Word.REPLICATED and found.effect.means.n == 4 and found.count == 120
+
+
+def test_claims_without_rows_say_so_and_what_cannot_be_tested_too():
+    found = {item.claim.title: item.word for item in judged_claims({})}
+    assert found.pop("probabilistically complete") == "not testable"
+    assert set(found.values()) == {"no rows yet"}
+
+
+# ---------------------------------------------------------------- committed rows
+
+
+def read(suite):
+    with (RESULTS / suite / "runs.csv").open(newline="") as handle:
+        return list(csv.DictReader(handle))
+
+
+def cost(row):
+    checks, projections, steps = (
+        float(row[name] or 0) for name in ("n_state_checks", "n_projections", "n_newton_iterations")
+    )
+    seconds = 3.5e-3 * checks + 0.13e-3 * projections + 0.5e-3 * steps
+    return min(seconds, 100.0) if row["solved"] == "true" else 100.0
+
+
+def columns(suite, planner, baseline, value, both=False):
+    """Values of two planners on each problem."""
+    runs = {(row["planner"], row["problem"]): row for row in read(suite)}
+    pairs = [
+        (row, runs[baseline, problem])
+        for (name, problem), row in runs.items()
+        if name == planner and (baseline, problem) in runs
+    ]
+    if both:
+        pairs = [x for x in pairs if all(row["solved"] == "true" for row in x)]
+    return np.array([[value(row) for row in x] for x in pairs]).T
+
+
+def bca(own, other, level):
+    """Ratio of means with bias-corrected and accelerated bounds."""
+    rng, normal, n = np.random.default_rng(1), NormalDist(), len(own)
+    drawn = rng.integers(n, size=(9_999, n))
+    draws = own[drawn].mean(axis=1) / other[drawn].mean(axis=1)
+    estimate = own.mean() / other.mean()
+    left = (own.sum() - own) / (other.sum() - other)
+    away = left.mean() - left
+    speed = (away**3).sum() / (6.0 * (away**2).sum() ** 1.5)
+    bias = normal.inv_cdf((draws < estimate).mean())
+    ends = (bias + normal.inv_cdf(x) for x in (level / 2.0, 1.0 - level / 2.0))
+    low, high = (np.quantile(draws, normal.cdf(bias + z / (1.0 - speed * z))) for z in ends)
+    return estimate, low, high
+
+
+def own_word(estimate, low, high, paper):
+    if high < 1.0:
+        if low > paper:
+            return "same direction, smaller"
+        return "replicated" if max(high / estimate, estimate / low) <= 1.5 else "inconclusive"
+    if low > 1.0:
+        return "opposite"
+    return "no difference" if low >= 0.9 and high <= 1.0 / 0.9 else "inconclusive"
+
+
+def length(row):
+    return float(row["path_length_ompl_rad"] or "nan")
+
+
+@pytest.mark.parametrize(
+    ("title", "planner", "baseline", "paper"),
+    [
+        ("almost twice as fast", "ompl-cvq", "ompl-projected", 11.25 / 22.95),
+        ("almost twice as fast", "ompl-cvq", "tb-rrt", 11.25 / 25.31),
+        ("Algorithm 2 improves planning", "ompl-opt-cvq", "ompl-cvq", 11.03 / 11.25),
+        ("shorter paths", "ompl-cvq", "ompl-projected", 5.08 / 8.715),
+        ("shorter paths", "ompl-opt-cvq", "atlas-rrt", 5.507 / 5.85),
+    ],
+)
+def test_five_verdicts_follow_from_the_rows_by_other_code(title, planner, baseline, paper):
+    claim, suite = BY_TITLE[title], "place-task-ompl"
+    of = (judged.read_evidence(RESULTS / suite),)
+    (found,) = (
+        item
+        for item in comparisons(claim, of, sentence_level())
+        if (item.planner, item.baseline) == (planner, baseline)
+    )
+    of_length = claim.measure == "length"
+    own, other = columns(suite, planner, baseline, length if of_length else cost, of_length)
+    estimate, low, high = bca(own, other, sentence_level())
+    assert found.effect.means.estimate == pytest.approx(estimate) and found.count == len(own)
+    assert found.effect.means[1:3] == pytest.approx((low, high), rel=0.03)
+    first = found.words.get("0 s, as published", found.word)
+    assert str(first) == own_word(estimate, low, high, paper)
+
+
+def test_the_readmes_sentences_have_the_numbers_of_the_rows():
+    text = README.read_text(encoding="utf-8")
+    answer = text[text.index("<!-- answer") : text.index("<!-- end of answer")]
+    told = [float(x) for x in re.findall(r"(\d\.\d+) \[", answer)]
+    suite = "place-task-ompl"
+    means = [
+        np.divide(*columns(suite, *pair, cost).mean(axis=1))
+        for pair in (("ompl-cvq", "ompl-projected"), ("ompl-cvq", "ompl-uniform"))
+    ]
+    means.append(
+        np.divide(*columns(suite, "ompl-cvq", "ompl-projected", length, True).mean(axis=1))
+    )
+    means.append(np.divide(*columns(suite, "ompl-opt-cvq", "ompl-cvq", cost).mean(axis=1)))
+    assert told[:4] == pytest.approx(means, abs=0.006)
