@@ -198,17 +198,18 @@ def paper_number(claim: Claim, planner: str, baseline: str) -> float | None:
 def _compared_shares(
     claim: Claim, planner: str, baseline: str, parts: Sequence[Both], level: float
 ) -> Comparison:
-    solved = [(_solved(ours), _solved(other)) for part in parts for _, ours, other in part]
+    runs = [item for part in parts for item in part]
+    solved = [_solved(ours) for _, ours, _ in runs], [_solved(other) for _, _, other in runs]
     paper = paper_number(claim, planner, baseline)
-    gain = rule.share_gain(*zip(*solved, strict=True), level)
+    gain = rule.share_gain(*solved, level)
     word = rule.share_word(gain, paper, claim.similar)
     needed = None
     if word is Word.OPEN and gain.n >= rule.FEWEST_PROBLEMS:
-        needed = max(gain.n + 1, rule.shares_needed(*zip(*solved, strict=True), level))
+        needed = max(gain.n + 1, rule.shares_needed(*solved, level))
     return Comparison(
         planner=planner,
         baseline=baseline,
-        count=len(solved),
+        count=len(runs),
         failed=_failures(parts),
         paper=paper,
         word=word,
@@ -225,7 +226,7 @@ def _compared(
 
     def effect(value: str) -> Effect:
         pairs = _pairs(claim, parts, VALUES[value])
-        effects = [Effect.of(*zip(*values, strict=True), level) for values in pairs.values()]
+        effects = [Effect.of(*_sides(values), level) for values in pairs.values()]
         if not claim.pooled:
             return effects[0]
         known = [item for item in effects if item.means.low is not None]
@@ -249,8 +250,7 @@ def _compared(
         cheap = effect("search_cost_pybullet")
         pybullet = cheap, rule.word_of(cheap, reached)
     if word is Word.OPEN and not claim.pooled and len(values) >= rule.FEWEST_PROBLEMS:
-        own, other = zip(*values, strict=True)
-        needed = max(len(values) + 1, rule.problems_needed(own, other, level))
+        needed = max(len(values) + 1, rule.problems_needed(*_sides(values), level))
     return Comparison(
         planner=planner,
         baseline=baseline,
@@ -277,6 +277,11 @@ def _pairs(
             kind = split_problem(problem).phase if claim.pooled else ""
             found.setdefault(kind, []).append((own, other))
     return found
+
+
+def _sides(pairs: Sequence[tuple[float, float]]) -> tuple[list[float], list[float]]:
+    """Return the planner's values, and the baseline's."""
+    return [own for own, _ in pairs], [other for _, other in pairs]
 
 
 def _failures(parts: Sequence[Both]) -> tuple[int, int]:
@@ -328,12 +333,13 @@ def task_lines(evidence: Evidence) -> Lines:
     for planner, runs in evidence.runs.items():
         planning = [_cost(run, VALUES["search_cost"]) for run in runs.values()]
         moving = [_size(run, VALUES["execution_time"]) for run in runs.values()]
-        both = zip(planning, moving, strict=True)
-        total = [a + b for a, b in both if a is not None and b is not None]
+        pairs = zip(planning, moving, strict=True)
+        total = [a + b for a, b in pairs if a is not None and b is not None]
         cells = []
-        for metric, values in zip(metrics, (planning, moving, total), strict=True):
+        columns: tuple[Sequence[float | None], ...] = (planning, moving, total)
+        for metric, values in zip(metrics, columns, strict=True):
             mean = problem_mean([[x] for x in values if x is not None])
-            cells += [numbers.get((planner, metric), "–"), estimate(mean)]
+            cells += [str(numbers.get((planner, metric), "–")), estimate(mean)]
         lines.append([f"`{planner}`", str(len(runs)), *cells])
     return lines
 

@@ -144,8 +144,8 @@ def comparison_lines(comparisons: Iterable[Comparison]) -> Lines:
         others = {f"{name}: {word}" for name, word in item.words.items() if word is not item.word}
         cheap = "–"
         if item.pybullet is not None:
-            effect, word = item.pybullet
-            cheap = f"{estimate(effect.means)}, {word}"
+            effect, other = item.pybullet
+            cheap = f"{estimate(effect.means)}, {other}"
         *numbers, word = item.cells
         lines.append(
             [item.planner, item.baseline, *numbers, str(item.count), "{} / {}".format(*item.failed)]

@@ -3,6 +3,7 @@
 import csv
 import re
 from dataclasses import replace
+from pathlib import Path
 from statistics import NormalDist
 
 import numpy as np
@@ -12,6 +13,7 @@ from made_rows import a_failure, a_row
 from cvqmpt_lab.paper_tables import claims as judged
 from cvqmpt_lab.paper_tables.claims import Evidence, comparisons, judged_claims, sentence_level
 from cvqmpt_lab.paper_tables.committed import README, RESULTS
+from cvqmpt_lab.paper_tables.pages import report_html
 from cvqmpt_lab.paper_tables.rule import Word
 from cvqmpt_lab.paper_tables.statements import CLAIMS
 
@@ -103,6 +105,13 @@ def test_claims_without_rows_say_so_and_what_cannot_be_tested_too():
     found = {item.claim.title: item.word for item in judged_claims({})}
     assert found.pop("probabilistically complete") == "not testable"
     assert set(found.values()) == {"no rows yet"}
+
+
+def test_verdicts_lead_a_report_of_rows_that_judge():
+    rows = place_rows(ompl_cvq=10, ompl_projected=25, atlas_rrt=30, tb_rrt=30)
+    text = report_html({"place-task-ompl": Evidence(Path("made"), rows, {})})
+    places = [text.index(mark) for mark in ('id="verdicts"', "almost twice as fast", "<details")]
+    assert places == sorted(places) and "not testable" in text and 'class="verdict holds"' in text
 
 
 # ---------------------------------------------------------------- committed rows
