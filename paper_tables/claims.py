@@ -96,6 +96,7 @@ class Comparison:
     words: Mapping[str, Word] = field(default_factory=dict)  # by the time of networks
     pybullet: tuple[Effect, Word] | None = None  # at the prices of PyBullet's kinematics
     needed: int | None = None  # problems that would decide an inconclusive comparison
+    seconds: float = 0.0  # both planners' time for a problem on this machine [s]
 
     @property
     def cells(self) -> list[str]:
@@ -106,6 +107,14 @@ class Comparison:
         paper = "–" if self.paper is None else f"{self.paper:.2f}"
         both = ("–", "–") if self.effect is None else map(estimate, self.effect)
         return [paper, *both, str(self.word)]
+
+    @property
+    def to_decide(self) -> str:
+        """Problems that would decide an inconclusive comparison, and their time on a core."""
+        if self.needed is None:
+            return "–"
+        hours = self.needed * self.seconds / 3600.0
+        return f"{self.needed} problems, {hours:.2g} core-hours"
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,6 +224,7 @@ def _compared_shares(
         word=word,
         gain=gain,
         needed=needed,
+        seconds=_seconds(parts),
     )
 
 
@@ -262,6 +272,7 @@ def _compared(
         words=words,
         pybullet=pybullet,
         needed=needed,
+        seconds=_seconds(parts),
     )
 
 
@@ -282,6 +293,12 @@ def _pairs(
 def _sides(pairs: Sequence[tuple[float, float]]) -> tuple[list[float], list[float]]:
     """Return the planner's values, and the baseline's."""
     return [own for own, _ in pairs], [other for _, other in pairs]
+
+
+def _seconds(parts: Sequence[Both]) -> float:
+    """Return the mean time of a problem, of both planners together [s]."""
+    runs = [[*ours, *other] for part in parts for _, ours, other in part]
+    return sum(row.t_total_s or 0.0 for rows in runs for row in rows) / len(runs)
 
 
 def _failures(parts: Sequence[Both]) -> tuple[int, int]:

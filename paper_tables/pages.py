@@ -150,7 +150,7 @@ def comparison_lines(comparisons: Iterable[Comparison]) -> Lines:
         lines.append(
             [item.planner, item.baseline, *numbers, str(item.count), "{} / {}".format(*item.failed)]
             + [word, "; ".join(sorted(others)) or "–", cheap]
-            + ["–" if item.needed is None else f"{item.needed} problems"]
+            + [item.to_decide]
         )
     return lines
 
