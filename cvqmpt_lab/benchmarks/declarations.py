@@ -93,7 +93,6 @@ def _place_suites() -> list[Suite]:
                 Amount(problems=60, cutoff=5.0, planners=controlled, folder="controls"),
                 Amount(planners=PlannerGroups.slow, late=True),
                 Amount(problems=30, planners=("ompl-bkpiece",), late=True),
-                Amount(profile="paper", planners=PlannerGroups.paper),
                 Amount(profile="small", problems=10, cutoff=2.0),
                 Amount(
                     profile="small",
@@ -196,7 +195,10 @@ def _ompl_suites() -> list[Suite]:
             name="place-task-ompl",
             title="Place task inside OMPL: the paper's experiment, in its seconds",
             problems=range(5000, 5400),  # nobody has looked at them, see docs/judgement.md
-            amounts=(Amount(cost=100.0),),
+            amounts=(
+                Amount(cost=100.0),
+                Amount(profile="paper", problems=100, cost=100.0, planners=PlannerGroups.paper),
+            ),
         ),
         experiment(
             name="place-task-published",
@@ -604,7 +606,6 @@ def _task_suites() -> list[Suite]:
             amounts=(
                 Amount(planners=PlannerGroups.quick),
                 Amount(problems=16, planners=PlannerGroups.slow, late=True),
-                Amount(profile="paper", problems=10, planners=PlannerGroups.paper),
                 Amount(profile="small", problems=2, cutoff=2.0, planners=PlannerGroups.few),
             ),
         ),
@@ -615,7 +616,10 @@ def _task_suites() -> list[Suite]:
             make=_problem("place_task:published_task"),
             planners=("ompl-projected", *PlannerGroups.slow, *PlannerGroups.in_ompl),
             cost=100.0,
-            amounts=(Amount(cost=100.0, late=True),),
+            amounts=(
+                Amount(cost=100.0, late=True),
+                Amount(profile="paper", problems=10, cost=100.0, planners=PlannerGroups.paper),
+            ),
         ),
     ]
 

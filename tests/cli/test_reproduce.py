@@ -68,9 +68,9 @@ def test_it_writes_rows_tables_verdicts_and_the_report_and_goes_on_where_it_was(
 
 def test_the_profile_of_the_paper_is_said_to_take_less_than_20_minutes():
     parts = parts_of("paper")
-    assert [part.folder for part in parts] == ["place-task", "multi-sequence"]
+    assert [part.folder for part in parts] == ["place-task-ompl", "multi-sequence-published"]
     told = [duration_line(part.experiment, 2) for part in parts]
-    assert told[0].startswith("place-task: 900 runs on 2 processes take about ")
+    assert told[0].startswith("place-task-ompl: 600 runs on 2 processes take about ")
     assert sum(int(line.partition(" about ")[2].partition(" min")[0]) for line in told) < 20
 
 
