@@ -474,8 +474,6 @@ def _more_constraints() -> list[Suite]:
                     + unknown,
                     "{ratios}",
                     kinds,
-                    "Problems have one goal, for which `ompl-cvq` has 2.5 s of the paper's, as in "
-                    "the published code; with up to 20 goals, see constraints-more-ompl.",
                 )
             ),
         ),
