@@ -28,7 +28,8 @@ def run(args: argparse.Namespace) -> int:
     robot = chosen_robot(args)
     scene = Scene("free space", ()) if args.scene is None else read_scene(args.scene)
     start = None if args.start is None else configuration(robot, "--start", args.start)
-    poses, (metres, radians, *_) = poses_of(args.poses), (*args.tolerance, 0.01)
+    poses = poses_of(args.poses)
+    metres, radians = [*args.tolerance, 0.01][:2]
     legs = follow_lines(robot, scene, poses, metres, radians, start, args.seed)
     states = np.concatenate([legs[0].path.states, *(leg.path.states[1:] for leg in legs[1:])])
     lines = [
