@@ -214,4 +214,4 @@ def test_the_command_plans_with_an_external_planner_and_keeps_json_clean(capfd):
     told = json.loads(capfd.readouterr().out)
     assert told["solved"] and told["counts"] is None
     run_here([*words, "their_planners:raising"], code=1)
-    assert "planner_error (RuntimeError: no luck today)" in capfd.readouterr().out
+    assert "planner error (RuntimeError: no luck today)" in capfd.readouterr().out
