@@ -127,7 +127,8 @@ def solve_with_margin(
         why = "; ".join(filter(None, (why, str(error))))
     if found is None or not found.solved:
         if found is not None:
-            why = "; ".join(filter(None, (why, f"no path with this margin: {found.status}")))
+            status = found.status.replace("_", " ")
+            why = "; ".join(filter(None, (why, f"no path with this margin: {status}")))
         plain = solve(problem, method, budget.share(0.5), seed, goals=goals, **options)
         return plain, f"none of {_text(margin)}: {why}"
     assert found.certificate is not None and found.path is not None
