@@ -35,6 +35,22 @@ def test_chunks_of_a_policy_are_judged_where_they_begin(plan, problem):
     assert judge(motion, problem, last=elsewhere).first_fault.kind == "current"
 
 
+def test_points_less_than_a_microsecond_apart_are_judged_up_to_rounding(plan, problem):
+    times = np.sort(np.append(plan.times, plan.times[3:40] + 3e-7))
+    judged = judge(Motion(plan.joint_names, *plan_at(plan, times)), problem)
+    assert judged.certified, judged.check.certificate.reasons
+    q, t, v, a = plan_at(plan, plan.times)
+    a[len(a) // 2 :: 2] *= -1.0  # accelerations that swing are refused as before
+    swinging = judge(Motion(plan.joint_names, q, t, v, a), problem)
+    assert not swinging.certified
+
+
+def plan_at(plan, times):
+    """Positions, times, velocities and accelerations of a motion."""
+    q, v, a = plan.at(times)
+    return q, times, v, a
+
+
 def extended(plan, extra=("finger",)):
     """The motion with more joints."""
     columns = np.hstack([plan.positions, np.full((len(plan.times), len(extra)), 0.02)])

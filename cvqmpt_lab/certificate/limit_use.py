@@ -144,12 +144,26 @@ def rate_uses(
         if order == 2 and given is not None:
             found = np.concatenate([found, given[None, :-1], given[None, 1:]])
             shares = np.concatenate([shares, shares[[0, -1]]])
-        used = np.nan_to_num(np.abs(found) / limit, nan=np.inf)
+        sizes = np.abs(found)
+        if order == 3:
+            sizes = np.maximum(sizes - _rounded_jerk(curve), 0.0)
+        used = np.nan_to_num(sizes / limit, nan=np.inf)
         share, k, joint = np.unravel_index(int(used.argmax()), used.shape)
         moment = curve.x[k] + shares[share, k, joint] * (curve.x[k + 1] - curve.x[k])
         value = float(used[share, k, joint] * limit[joint])
         name = limits.joint_names[joint]
         yield LimitUse(kind, name, value, float(limit[joint]), unit, float(moment))
+
+
+def _rounded_jerk(curve: PPoly) -> np.ndarray:
+    """Return how exactly a quintic's jerk (k, n) follows from numbers of 52 bits.
+
+    Its jerk has the term 60 (q1 - q0) / h^3. Positions are rounded to 2^-52 |q|, and times to
+    2^-52 t, which moves positions by 2^-52 t |v|: with h of a microsecond, by 10^4 rad/s^3.
+    """
+    size = bounds(curve, 0) + curve.x[-1] * bounds(curve, 1)
+    rounded: np.ndarray = 60.0 * 2.0**-52 * size / np.diff(curve.x)[:, None] ** 3
+    return rounded
 
 
 class _Parts:
