@@ -197,7 +197,7 @@ OPTIONS: Options = {
         metavar="DIR",
     ),
     "--profile": option(
-        f"with {ALL}: {', '.join(PROFILES)}; three hours, 20 minutes for Tables I and II "
+        f"with {ALL}: {', '.join(PROFILES)}; three hours, 6 minutes for Tables I and II "
         "with the paper's planners, or 1 to 3 minutes, on two cores (full)",
         default="full",
     ),
