@@ -69,7 +69,8 @@ def load_function(
             inspect.signature(found).bind(**fields)
         except (TypeError, ValueError) as error:
             raise InvalidInputError(
-                f"{what}: {error}; it is called with the fields of the problem file"
+                f"{what}: {error}; it is called with the fields of the problem file: give a "
+                "function F(q) as FunctionConstraint(k, F), k entries"
             ) from error
         try:
             found = found(**fields)
