@@ -64,10 +64,17 @@ class Quoted:
         own, other = self.rows(name, planner, kind), self.rows(name, over, kind)
         return mean_ratio(paired(own, other, VALUES[value]))
 
-    def cost_ratio(self, name: str, planner: str, over: str) -> str:
-        """Return the ratio of mean costs in the paper's seconds, see `ompl_table`."""
+    def cost_ratio(self, name: str, planner: str, over: str, value: str = "search_cost") -> str:
+        """Return the ratio of mean costs in the paper's seconds, see `ompl_table`.
+
+        Args:
+            name: name of the results directory.
+            planner: whose cost is divided.
+            over: planner of the divisor.
+            value: a cost of `VALUES`.
+        """
         runs = suite_runs(self.results[name].rows, ())
-        measure = means_ratio(over, VALUES["search_cost"], PAPER_CUTOFF_S)
+        measure = means_ratio(over, VALUES[value], PAPER_CUTOFF_S)
         return estimate(measure(self.rows(name, planner), runs))
 
     def length_ratio(self, name: str, planner: str, over: str) -> str:
