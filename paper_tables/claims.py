@@ -2,8 +2,8 @@
 
 import csv
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import cached_property
+from dataclasses import dataclass, field, replace
+from functools import cache, cached_property
 from itertools import pairwise, product
 from pathlib import Path
 from typing import Any
@@ -204,36 +204,41 @@ def paper_number(claim: Claim, planner: str, baseline: str) -> float | None:
     return (ours - other) / 100.0 if claim.is_share else ours / other
 
 
+def _unjudged(claim: Claim, planner: str, baseline: str, parts: Sequence[Both]) -> Comparison:
+    """Return what a comparison has before its numbers are judged."""
+    return Comparison(
+        planner=planner,
+        baseline=baseline,
+        count=0,
+        failed=_failures(parts),
+        paper=paper_number(claim, planner, baseline),
+        word=Word.OPEN,
+        seconds=_seconds(parts),
+    )
+
+
 def _compared_shares(
     claim: Claim, planner: str, baseline: str, parts: Sequence[Both], level: float
 ) -> Comparison:
     runs = [item for part in parts for item in part]
     solved = [_solved(ours) for _, ours, _ in runs], [_solved(other) for _, _, other in runs]
-    paper = paper_number(claim, planner, baseline)
+    found = _unjudged(claim, planner, baseline, parts)
     gain = rule.share_gain(*solved, level)
-    word = rule.share_word(gain, paper, claim.similar)
+    word = rule.share_word(gain, found.paper, claim.similar)
     needed = None
     if word is Word.OPEN and gain.n >= rule.FEWEST_PROBLEMS:
         needed = max(gain.n + 1, rule.shares_needed(*solved, level))
-    return Comparison(
-        planner=planner,
-        baseline=baseline,
-        count=len(runs),
-        failed=_failures(parts),
-        paper=paper,
-        word=word,
-        gain=gain,
-        needed=needed,
-        seconds=_seconds(parts),
-    )
+    return replace(found, count=len(runs), word=word, gain=gain, needed=needed)
 
 
 def _compared(
     claim: Claim, planner: str, baseline: str, parts: Sequence[Both], level: float
 ) -> Comparison:
-    paper = paper_number(claim, planner, baseline)
-    reached = None if paper is None or paper >= 1.0 else paper  # else it contradicts its sentence
+    found = _unjudged(claim, planner, baseline, parts)
+    # a number that contradicts its sentence is none
+    reached = None if found.paper is None or found.paper >= 1.0 else found.paper
 
+    @cache
     def effect(value: str) -> Effect:
         pairs = _pairs(claim, parts, VALUES[value])
         effects = [Effect.of(*_sides(values), level) for values in pairs.values()]
@@ -248,12 +253,8 @@ def _compared(
     main = COSTS["0 s, as published"] if timed else LENGTHS[claim.measure]
     values = [pair for kind in _pairs(claim, parts, VALUES[main]).values() for pair in kind]
     if not values:
-        return Comparison(
-            planner=planner, baseline=baseline, count=0, failed=_failures(parts), paper=paper,
-            word=Word.OPEN,
-        )  # fmt: skip
-    found = effect(main)
-    word, words, pybullet, needed = rule.word_of(found, reached), {}, None, None
+        return found
+    word, words, pybullet, needed = rule.word_of(effect(main), reached), {}, None, None
     if timed:
         words = {name: rule.word_of(effect(cost), reached) for name, cost in COSTS.items()}
         word = rule.word_on_all_hardware(words)
@@ -261,18 +262,14 @@ def _compared(
         pybullet = cheap, rule.word_of(cheap, reached)
     if word is Word.OPEN and not claim.pooled and len(values) >= rule.FEWEST_PROBLEMS:
         needed = max(len(values) + 1, rule.problems_needed(*_sides(values), level))
-    return Comparison(
-        planner=planner,
-        baseline=baseline,
+    return replace(
+        found,
         count=len(values),
-        failed=_failures(parts),
-        paper=paper,
         word=word,
-        effect=found,
+        effect=effect(main),
         words=words,
         pybullet=pybullet,
         needed=needed,
-        seconds=_seconds(parts),
     )
 
 

@@ -64,23 +64,20 @@ class Quoted:
         own, other = self.rows(name, planner, kind), self.rows(name, over, kind)
         return mean_ratio(paired(own, other, VALUES[value]))
 
-    def cost_ratio(self, name: str, planner: str, over: str, value: str = "search_cost") -> str:
-        """Return the ratio of mean costs in the paper's seconds, see `ompl_table`.
+    def means_ratio(self, name: str, planner: str, over: str, value: str = "search_cost") -> str:
+        """Return the ratio of means of a cost in the paper's seconds or of a length.
+
+        Failed runs cost the paper's cut-off; lengths are those of problems that both solved.
 
         Args:
             name: name of the results directory.
-            planner: whose cost is divided.
+            planner: whose value is divided.
             over: planner of the divisor.
-            value: a cost of `VALUES`.
+            value: one of `VALUES`.
         """
+        cutoff = None if value == "ompl_length" else PAPER_CUTOFF_S
+        measure = means_ratio(over, VALUES[value], cutoff)
         runs = suite_runs(self.results[name].rows, ())
-        measure = means_ratio(over, VALUES[value], PAPER_CUTOFF_S)
-        return estimate(measure(self.rows(name, planner), runs))
-
-    def length_ratio(self, name: str, planner: str, over: str) -> str:
-        """Return the ratio of mean lengths after OMPL's simplification, of problems both solved."""
-        runs = suite_runs(self.results[name].rows, ())
-        measure = means_ratio(over, VALUES["ompl_length"], None)
         return estimate(measure(self.rows(name, planner), runs))
 
     def contrast(self, name: str, title: str, column: str = "work") -> str:
