@@ -31,13 +31,19 @@ from cvqmpt_lab.cli.options import (
 )
 from cvqmpt_lab.cli.problem_arguments import budget, optimize_budget, planner_list
 from cvqmpt_lab.cli.problem_options import BUDGET, optimize_option
-from cvqmpt_lab.cli.tables_command import page_of, show_tables, verdict_lines, write_report
+from cvqmpt_lab.cli.tables_command import (
+    judged_below,
+    show_tables,
+    verdict_lines,
+    write_report,
+)
 from cvqmpt_lab.experiments.experiment import PROFILES, Experiment, parts_of, planners_of
 from cvqmpt_lab.experiments.figures.code_update import UpdateSettings
 from cvqmpt_lab.experiments.figures.paper import FIGURES, reproduce_figure, summary
 from cvqmpt_lab.experiments.run import default_jobs, executor_for, run_experiment
 from cvqmpt_lab.paper_tables.committed import RESULTS
 from cvqmpt_lab.paper_tables.measures import grouped
+from cvqmpt_lab.paper_tables.pages import page_text
 from cvqmpt_lab.paper_tables.rendering import render_directory
 from cvqmpt_lab.paper_tables.table_engine import by_planner
 from cvqmpt_lab.planning.planners import PLANNERS
@@ -183,8 +189,9 @@ def _reproduce_all(args: argparse.Namespace) -> None:
         command = ["cvqmpt", "figure", figure, "--problems", str(count), "--out", str(folder)]
         reproduce_figure(figure, folder, command, range(count))
     page = out / "claims.md"
-    write_text(page, page_of(out))
-    print("\n".join(verdict_lines(out, with_committed=True)))
+    found, judged = judged_below(out)
+    write_text(page, page_text(found, judged, out))
+    print("\n".join(verdict_lines(found, judged, with_committed=True)))
     print(f"every claim, its numbers and commands: {page}")
     write_report(out)
 

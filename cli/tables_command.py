@@ -23,7 +23,13 @@ from cvqmpt_lab.cli.problem_arguments import planner_list
 from cvqmpt_lab.experiments import regression
 from cvqmpt_lab.experiments.regression import EXPECTED
 from cvqmpt_lab.paper_tables import pages
-from cvqmpt_lab.paper_tables.claims import Evidence, banner, evidence_below, judged_claims
+from cvqmpt_lab.paper_tables.claims import (
+    Evidence,
+    JudgedClaim,
+    banner,
+    evidence_below,
+    judged_claims,
+)
 from cvqmpt_lab.paper_tables.committed import (
     RESULTS,
     committed_directories,
@@ -132,7 +138,8 @@ def claims(args: argparse.Namespace) -> None:
     """Judge every claim of the paper, print the verdicts, and write the page if asked to."""
     if args.results is None and args.write:
         require_checkout("cvqmpt claims --write", "name a folder of results directories")
-    print("\n".join(verdict_lines(args.results or RESULTS)))
+    found, judged = judged_below(args.results or RESULTS)
+    print("\n".join(verdict_lines(found, judged)))
     page = pages.PAGE if args.results is None else args.results / "claims.md"
     if not args.write:
         if args.results or in_checkout():
@@ -140,10 +147,9 @@ def claims(args: argparse.Namespace) -> None:
         return
     texts, pictures = {}, {}
     if args.results is None:
-        found = evidence_below(RESULTS)
-        texts, pictures = committed_pages(found), committed_pictures(found)
+        texts, pictures = committed_pages(found, judged), committed_pictures(found, judged)
     else:
-        texts[page] = page_of(args.results)
+        texts[page] = pages.page_text(found, judged, args.results)
     for path, text in texts.items():
         write_text(path, text)
     for path, picture in pictures.items():
@@ -151,34 +157,31 @@ def claims(args: argparse.Namespace) -> None:
     print("\n".join(f"written {path}" for path in (*texts, *pictures)))
 
 
-def page_of(results: Path) -> str:
-    """Return the page of claims for a folder of results directories."""
-    found = _found(results)
-    return pages.page_text(found, judged_claims(found), results)
-
-
-def verdict_lines(results: Path, with_committed: bool = False) -> list[str]:
-    """Return a line for each claim.
-
-    Args:
-        results: folder of results directories.
-        with_committed: whether to add the verdicts of the committed rows.
-    """
-    found = _found(results)
-    judged = judged_claims(found)
-    shown = pages.summary_lines(judged)
-    if with_committed:
-        shown = pages.beside_lines(judged, judged_claims(evidence_below(RESULTS)))
-    lines = [banner(found), *text_lines(shown)]
-    return lines if lines[0] else lines[1:]
-
-
-def _found(results: Path) -> dict[str, Evidence]:
+def judged_below(results: Path) -> tuple[dict[str, Evidence], list[JudgedClaim]]:
+    """Return the results directories below a folder by name, and the claims judged by them."""
     if not committed_directories(results):
         raise InvalidInputError(
             f"{results} holds no results directories; name a folder with some, such as runs/all"
         )
-    return evidence_below(results)
+    found = evidence_below(results)
+    return found, judged_claims(found)
+
+
+def verdict_lines(
+    found: Mapping[str, Evidence], judged: Sequence[JudgedClaim], with_committed: bool = False
+) -> list[str]:
+    """Return a line for each claim.
+
+    Args:
+        found: results directories by name.
+        judged: claims judged by them.
+        with_committed: whether to add the verdicts of the committed rows.
+    """
+    shown = pages.summary_lines(judged)
+    if with_committed:
+        shown = pages.beside_lines(judged, judged_below(RESULTS)[1])
+    lines = [banner(found), *text_lines(shown)]
+    return lines if lines[0] else lines[1:]
 
 
 def check_tables(args: argparse.Namespace) -> int:
@@ -261,7 +264,9 @@ def _check_committed(args: argparse.Namespace) -> int:
     expected = expected._replace(outcomes={case: x for case, x in known if case not in left_out})
     mode, runs = regression.compare(expected, outcomes, made_with, args.within / 100)
     directories = committed_directories(args.results)
-    stale = stale_pages(committed_pages(evidence_below(RESULTS))) if args.results == RESULTS else []
+    stale = []
+    if args.results == RESULTS:
+        stale = stale_pages(committed_pages(*judged_below(RESULTS)))
     found = {
         f"runs compared {mode}": runs,
         f"tables of {len(directories)} results directories rendered again": [

@@ -3,7 +3,7 @@
 import csv
 import math
 import re
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,7 @@ from typing import Any
 from cvqmpt_lab.base.errors import CvqmptError, InvalidInputError, in_checkout
 from cvqmpt_lab.base.files import read_text
 from cvqmpt_lab.paper_tables import pages
-from cvqmpt_lab.paper_tables.claims import Evidence, judged_claims
+from cvqmpt_lab.paper_tables.claims import Evidence, JudgedClaim
 from cvqmpt_lab.paper_tables.metadata import metadata_files
 from cvqmpt_lab.paper_tables.quoted import Quoted, what_to_use
 from cvqmpt_lab.paper_tables.rendering import rendered_tables
@@ -131,9 +131,10 @@ def with_part(text: str, part: str, table: str) -> str:
     return found.sub(lambda _: f"{begin}\n{table}{end}", text)
 
 
-def committed_pages(found: Mapping[str, Evidence]) -> dict[Path, str]:
+def committed_pages(
+    found: Mapping[str, Evidence], claims: Sequence[JudgedClaim]
+) -> dict[Path, str]:
     """Return the page of claims and, in a checkout, README, results.md and metadata, by path."""
-    claims = judged_claims(found)
     texts = {pages.PAGE: pages.page_text(found, claims, pages.PAGE.parent)}
     if in_checkout():
         quoted = Quoted(found)
@@ -150,13 +151,15 @@ def committed_pages(found: Mapping[str, Evidence]) -> dict[Path, str]:
     return texts
 
 
-def committed_pictures(found: Mapping[str, Evidence]) -> dict[Path, bytes]:
+def committed_pictures(
+    found: Mapping[str, Evidence], claims: Sequence[JudgedClaim]
+) -> dict[Path, bytes]:
     """Return pictures of committed rows: what to use, comparisons of claims, cost of a check."""
     from cvqmpt_lab.paper_tables import plots  # matplotlib takes a second to import
 
     drawn = {
         "use.png": plots.advice(what_to_use(Quoted(found))),
-        "forest.png": plots.forest(judged_claims(found)),
+        "forest.png": plots.forest(claims),
         "cost.png": plots.cost_curves(by_planner(found["place-task-seconds"].rows, ())),
     }
     return {DOCS / name: picture for name, picture in drawn.items()}

@@ -61,7 +61,7 @@ def test_it_writes_rows_tables_verdicts_and_the_report_and_goes_on_where_it_was(
     for page in ("claims.md", "report.html"):
         assert "These rows were made with --profile small" in (tmp_path / page).read_text()
     rows = (tmp_path / "place-task" / RUNS_FILE).read_bytes()
-    for name in ("page_of", "verdict_lines", "write_report"):  # seen above, and slow
+    for name in ("page_text", "verdict_lines", "write_report"):  # seen above, and slow
         monkeypatch.setattr(f"cvqmpt_lab.cli.reproduce_command.{name}", lambda *_, **named: "")
     cvqmpt(words)
     assert (tmp_path / "place-task" / RUNS_FILE).read_bytes() == rows

@@ -17,7 +17,7 @@ from refusals import refused
 
 from cvqmpt_lab.base.errors import RunStoreError
 from cvqmpt_lab.paper_tables import committed, pages
-from cvqmpt_lab.paper_tables.claims import evidence_below
+from cvqmpt_lab.paper_tables.claims import evidence_below, judged_claims
 from cvqmpt_lab.paper_tables.committed import RESULTS
 from cvqmpt_lab.paper_tables.layouts import place_table
 from cvqmpt_lab.paper_tables.motion_bench_table import class_lines
@@ -149,10 +149,17 @@ def committed_evidence():
     return evidence_below(RESULTS)
 
 
+@pytest.fixture(scope="module")
+def committed_claims(committed_evidence):
+    return judged_claims(committed_evidence)
+
+
 def test_the_committed_page_and_the_readme_are_what_the_command_writes_from_the_rows(
-    committed_evidence,
+    committed_evidence, committed_claims
 ):
-    assert committed.stale_pages(committed.committed_pages(committed_evidence)) == []
+    assert (
+        committed.stale_pages(committed.committed_pages(committed_evidence, committed_claims)) == []
+    )
 
 
 def test_the_results_begin_with_advice_and_mark_clear_ratios(committed_evidence):
@@ -190,8 +197,10 @@ def test_a_table_in_the_terminal_says_what_infinity_means():
     assert made.brief[-1].startswith("∞: a failed run counts as infinite")
 
 
-def test_pictures_of_the_committed_rows_are_drawn_without_a_display(committed_evidence):
-    for path, picture in committed.committed_pictures(committed_evidence).items():
+def test_pictures_of_the_committed_rows_are_drawn_without_a_display(
+    committed_evidence, committed_claims
+):
+    for path, picture in committed.committed_pictures(committed_evidence, committed_claims).items():
         assert path.is_file() and picture.startswith(b"\x89PNG") and len(picture) > 20_000
 
 
