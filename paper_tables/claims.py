@@ -324,7 +324,7 @@ def _points(gain: Interval) -> str:
 
 
 def transfer_lines(evidence: Evidence) -> Lines:
-    """Return seconds of this machine, with compiled checks: medians and ratios, without words."""
+    """Return ratios of seconds of this machine, with compiled checks; they have no words."""
     runs = grouped((row.planner, row) for row in evidence.rows)
     baselines = (CBIRRT, "birrt")
     lines = [["planner", "solved", *(f"time / {name}, geometric mean" for name in baselines)]]
