@@ -107,7 +107,11 @@ def scan_of(args: argparse.Namespace, files: Sequence[Path], robot: Robot, arm: 
 def scene_of(args: argparse.Namespace, made: Scan, robot: Robot, arm: Arm | None) -> Scene:
     """Return the scan as obstacles, with the share of the robot's reach that nobody saw.
 
-    The space inside `arm` counts as seen.
+    Args:
+        args: values of the options.
+        made: the scan.
+        robot: whose reach counts.
+        arm: bodies of the robot in the scan; the space inside them counts as seen.
     """
     scene = _obstacles_of(args, made, arm)
     if args.unknown == "occupied":

@@ -60,7 +60,15 @@ class Quoted:
     def interval(
         self, name: str, planner: str, value: str = "work", over: str = REFERENCE, kind: str = ""
     ) -> Interval:
-        """Return the numbers of `ratio`, whose arguments it has."""
+        """Return the numbers of `ratio`.
+
+        Args:
+            name: name of the results directory.
+            planner: whose value is divided.
+            value: one of `VALUES`.
+            over: planner of the divisor.
+            kind: kind of problems; empty: all.
+        """
         own, other = self.rows(name, planner, kind), self.rows(name, over, kind)
         return mean_ratio(paired(own, other, VALUES[value]))
 

@@ -6,6 +6,7 @@ problem of a suite imports no tables, and rendering a table imports no robots.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -25,6 +26,17 @@ class Imported:
         """Call the function."""
         module, _, function = self.name.partition(":")
         return getattr(import_module(module), function)(*arguments, **options)
+
+
+def problem_maker(name: str, **options: Any) -> Callable[[Any], Any]:
+    """Return a function MODULE:FUNCTION of this folder that makes the problem of an index."""
+    function = Imported(f"cvqmpt_lab.benchmarks.{name}")
+    return partial(function, **options) if options else function
+
+
+def table_maker(name: str, **options: Any) -> Callable[..., Any]:
+    """Return a function MODULE:FUNCTION of the tables, with options."""
+    return partial(Imported(f"cvqmpt_lab.paper_tables.{name}"), **options)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -251,7 +251,15 @@ _bisection = called_at_address(bisect_motion)
 
 @kernel(inline="source")
 def motion_between(space, origin, target, longest, out):
-    """Call `bisect_motion` at its address."""
+    """Call `bisect_motion` at its address.
+
+    Args:
+        space: the planning space.
+        origin: first state (n,) [rad or m].
+        target: last state (n,) [rad or m].
+        longest: longer motions are refused [rad].
+        out: (capacity, n), written as by `bisect_motion`.
+    """
     return _bisection(space.bisection, (space, origin, target, longest, out))
 
 
