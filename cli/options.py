@@ -211,5 +211,5 @@ class ProgressBar:
 
 
 def compiling() -> ProgressBar:
-    """Return the bar of `planning.warm_up.compile_kernels`."""
+    """Return the bar of `jit.compile_in_processes`."""
     return ProgressBar("compiling kernels, once per machine and version")

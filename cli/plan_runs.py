@@ -15,10 +15,11 @@ from typing import TYPE_CHECKING, Any
 
 from cvqmpt_lab.base.errors import InvalidInputError, few
 from cvqmpt_lab.base.files import csv_table, make_folder, write_text
+from cvqmpt_lab.base.jit import compile_in_processes
 from cvqmpt_lab.base.values import bound_text
 from cvqmpt_lab.benchmarks.declarations import SUITES
 from cvqmpt_lab.benchmarks.suite import suite_named
-from cvqmpt_lab.cli.options import ProgressBar, as_json, compiling, log, refuse_given, writable_file
+from cvqmpt_lab.cli.options import ProgressBar, as_json, compiling, refuse_given, writable_file
 from cvqmpt_lab.cli.plan_command import FILM_SUFFIX, OPTIMIZE_S, PAGE_SUFFIX, RECORDING_SUFFIX
 from cvqmpt_lab.cli.problem_arguments import (
     budget,
@@ -33,7 +34,7 @@ from cvqmpt_lab.cli.problem_arguments import (
 from cvqmpt_lab.planning.margins import Margin, solve_with_margin
 from cvqmpt_lab.planning.planners import default_planner, planner_named
 from cvqmpt_lab.planning.solution import Solution, solution_data
-from cvqmpt_lab.planning.warm_up import compile_kernels, compile_where_none_is, warm_up
+from cvqmpt_lab.planning.warm_up import compile_kernels, warm_up
 from cvqmpt_lab.problem import PlanningProblem, with_projected_start
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.robot import SLOW_SPEED, Robot
@@ -180,7 +181,7 @@ def _problem_or_task(args: argparse.Namespace) -> PlanningProblem | Task:
     if motion_given(args) and not given:
         from cvqmpt_lab.cli.scan_command import motion_problem
 
-        compile_where_none_is(compiling(), log)
+        compile_in_processes(compiling())
         return with_limits(args, motion_problem(args))
     if len(given) != 1 or motion_given(args) or args.scene:
         raise InvalidInputError(
@@ -190,7 +191,7 @@ def _problem_or_task(args: argparse.Namespace) -> PlanningProblem | Task:
         )
     if args.suite is not None:
         suite_named(args.suite)  # an unknown name is refused before anything is compiled
-    compile_where_none_is(compiling(), log)
+    compile_in_processes(compiling())
     return chosen_problem(args)
 
 

@@ -21,6 +21,7 @@ from cvqmpt_lab.base.jit import (
     Pointer,
     called_at_address,
     check_arrays,
+    compile_before_clocks,
     compile_in_processes,
     entries,
     entry,
@@ -32,8 +33,10 @@ from cvqmpt_lab.constraints.constraint import with_functions
 from cvqmpt_lab.constraints.region_constraint import RegionConstraint, stack_regions
 from cvqmpt_lab.constraints.regions import FunctionRows
 from cvqmpt_lab.constraints.task_space_region import upright
+from cvqmpt_lab.planning import pipeline
 from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.search import birrt, lazy_roadmap, motion, shortcut
+from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.space import ConstrainedSpace
 
 
@@ -210,6 +213,7 @@ def test_every_entry_is_compiled_and_counted(monkeypatch, cores):
 
     monkeypatch.setattr("concurrent.futures.ProcessPoolExecutor", threads)
     monkeypatch.setattr("os.sched_getaffinity", lambda _: range(cores), raising=False)
+    monkeypatch.setattr("cvqmpt_lab.base.jit.compiled_before", lambda: False)
     counts = []
     compile_in_processes(lambda *count: counts.append(count))
     names = [(one.__module__, one.name) for one in entries()]
@@ -219,6 +223,24 @@ def test_every_entry_is_compiled_and_counted(monkeypatch, cores):
     first = 1 if cores == 1 else 0
     assert counts == [(done, len(names)) for done in range(first, len(names) + 1)]
     assert workers == ([] if cores == 1 else [cores])
+
+
+def test_what_is_on_disk_is_not_compiled(monkeypatch):
+    monkeypatch.setattr("cvqmpt_lab.base.jit.compiled_before", lambda: True)
+    compile_in_processes(lambda *count: pytest.fail("something is compiled"))
+
+
+def test_no_clock_runs_while_kernels_are_compiled(problem, monkeypatch, caplog):
+    done = []
+    monkeypatch.setattr("cvqmpt_lab.base.jit.compiled_before", lambda: False)
+    monkeypatch.setattr("cvqmpt_lab.base.jit.compile_all", lambda: done.append("kernels"))
+    goals_of = pipeline.goals_of
+    monkeypatch.setattr(pipeline, "goals_of", lambda *one: done.append("goals") or goals_of(*one))
+    compile_before_clocks.cache_clear()
+    for _ in range(2):
+        pipeline.solve(problem, "birrt", Budget(iterations=100), 0)
+    assert done == ["kernels", "goals", "goals"]
+    assert caplog.text.count("compiling kernels") == 1
 
 
 READ_ONLY = """

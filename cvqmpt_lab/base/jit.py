@@ -14,6 +14,7 @@ or nan; a product and a sum may become one instruction (saves a quarter of forwa
 
 import contextlib
 import functools
+import logging
 import os
 import pickle
 import re
@@ -43,6 +44,7 @@ from cvqmpt_lab.base.caches import (
 )
 from cvqmpt_lab.base.errors import InvalidInputError
 
+_log = logging.getLogger("cvqmpt")
 # numba's options for the values of `inline`, see `kernel`
 INLINE_OPTIONS: dict[str | None, dict] = {
     None: {},
@@ -93,10 +95,10 @@ def forget_unused(place: Path, kept: int = 8) -> None:
             shutil.rmtree(old)
 
 
-def compiled_before(everything: bool = False) -> bool:
-    """Return whether machine code is on disk: of any entry, or of every entry."""
+def compiled_before() -> bool:
+    """Return whether machine code of every entry is on disk."""
     place = folder()
-    return place is not None and any(place.glob("complete" if everything else "*.nbc"))
+    return place is not None and (place / "complete").exists()
 
 
 def entries() -> list["Entry"]:
@@ -137,8 +139,18 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if able else os.cpu_count() or 1
 
 
+@functools.cache
+def compile_before_clocks() -> None:
+    """Compile every entry that is not on disk: no clock may run while one is compiled."""
+    if not compiled_before():
+        _log.warning("compiling kernels, two minutes, once per machine and version ...")
+        compile_all()
+
+
 def compile_in_processes(progress: Callable[[int, int], object]) -> None:
     """Compile every entry, in as many new processes as there are cores, and load them here.
+
+    Nothing is done if all of them are on disk.
 
     progress: called with the number of entries that are compiled, and that of all.
     """
@@ -146,6 +158,8 @@ def compile_in_processes(progress: Callable[[int, int], object]) -> None:
     from concurrent.futures.process import BrokenProcessPool
     from multiprocessing import get_context
 
+    if compiled_before():
+        return
     count = cores()
     if count == 1 or folder() is None:  # without a folder, no process can use another's work
         compile_all(progress)

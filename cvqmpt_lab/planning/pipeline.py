@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cvqmpt_lab.base.errors import require_kind, whole_number
+from cvqmpt_lab.base.jit import compile_before_clocks
 from cvqmpt_lab.base.processes import one_thread
 from cvqmpt_lab.certificate.certificate import Certificate, certify
 from cvqmpt_lab.constraints.goals import Goals, goals_of
@@ -86,6 +87,7 @@ def solve(
     seed = whole_number("seed", seed)
     method = planner_named(method) if isinstance(method, str) else method
     require_kind("method", method, Method, "or the name of a planner")
+    compile_before_clocks()
     called = time.perf_counter()
     given = goals is not None
     goals = goals_of(problem) if goals is None else goals

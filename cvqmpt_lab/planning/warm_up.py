@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cvqmpt_lab.base.jit import compile_in_processes, compiled_before, cores, folder
+from cvqmpt_lab.base.jit import compile_in_processes
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, upright_box
 from cvqmpt_lab.planning.pipeline import with_drawn_goals
 from cvqmpt_lab.planning.planners import planner_named, require_fit
@@ -32,8 +32,7 @@ def compile_kernels(progress: Callable[[int, int], object]) -> float:
         Wall time [s].
     """
     began = time.perf_counter()
-    if not compiled_before(everything=True):
-        compile_in_processes(progress)
+    compile_in_processes(progress)
     robot = panda()
     # configuration with an upright hand [rad]
     start = np.array(
@@ -59,27 +58,6 @@ def compile_kernels(progress: Callable[[int, int], object]) -> float:
     space.residual_and_jacobian(start)
     direct_motion(space, start, start)
     return time.perf_counter() - began
-
-
-def compile_where_none_is(
-    progress: Callable[[int, int], object], announce: Callable[[str], None], fewest: int = 4
-) -> None:
-    """Compile every kernel on all cores if none is on disk, where this is sooner for one command.
-
-    A command calls half of the kernels, which takes one core as long as all of them take two:
-    each process compiles what they share. On few cores each kernel is compiled when it is called.
-
-    Args:
-        progress: see `compile_kernels`.
-        announce: called with a message where kernels are compiled when they are called.
-        fewest: number of cores from which on all are compiled.
-    """
-    if compiled_before():
-        return
-    if cores() < fewest or folder() is None:
-        announce("compiling kernels, about a minute, once per machine and version ...")
-    else:
-        compile_in_processes(progress)
 
 
 def warm_up(problem: PlanningProblem, method: Method, backend: str) -> None:
