@@ -238,7 +238,9 @@ def motion_bench_problem(index: int) -> PlanningProblem | UnsolvableProblem:
 
 @lru_cache(maxsize=8)
 def bench_robot(robot: str) -> Robot:
-    """Return a robot as the archive describes it.
+    """Return a robot as the archive describes it, with the limits of its joints.
+
+    The published problems go beyond the soft limits of the Panda's `<safety_controller>`.
 
     Raises:
         InvalidInputError: it was not fetched, or its files differ from those of the archive.
@@ -246,7 +248,9 @@ def bench_robot(robot: str) -> Robot:
     folder = robot_file(robot, f"{robot}.urdf").parent
     require_digest(_listing(folder), f"{robot}/", folder)
     urdf, srdf = (str(robot_file(robot, f"{robot}.{end}")) for end in ("urdf", "srdf"))
-    return robot_from_source({"urdf": urdf, "srdf": srdf, "end_effector": BENCH_HANDS[robot]})
+    return robot_from_source(
+        {"urdf": urdf, "srdf": srdf, "end_effector": BENCH_HANDS[robot], "hard_limits": True}
+    )
 
 
 def problem_of_texts(

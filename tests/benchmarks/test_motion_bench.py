@@ -173,7 +173,7 @@ def cached():
 
 @pytest.mark.skipif(not cached(), reason="cvqmpt problems fetch motion-bench")
 def test_problems_of_the_real_archive_are_solved_and_colliding_ones_are_named():
-    for index, joints in ((100, 7), (1100, 6), (1510, 8)):
+    for index, joints in ((100, 7), (530, 7), (1100, 6), (1510, 8)):
         problem = motion_bench_problem(index)
         assert problem.robot.dof == joints and not problem.constraint
         assert solve(problem, "birrt", Budget(iterations=20_000), seed=0).solved
