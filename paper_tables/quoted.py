@@ -15,6 +15,7 @@ from cvqmpt_lab.paper_tables.measures import (
     paired,
     problem_median,
 )
+from cvqmpt_lab.paper_tables.motion_bench_table import LEFT_OUT
 from cvqmpt_lab.paper_tables.ompl_table import PAPER_CUTOFF_S, means_ratio
 from cvqmpt_lab.paper_tables.table_engine import suite_runs
 from cvqmpt_lab.paper_tables.writers import estimate, number
@@ -102,6 +103,10 @@ class Quoted:
         """Return certified runs of all runs, as "501 of 540"."""
         rows = self.rows(name, planner)
         return f"{sum(row.solved for row in rows)} of {len(rows)}"
+
+    def posed(self, name: str, kind: str) -> int:
+        """Return the number of MotionBenchMaker's problems that are not left out."""
+        return sum(row.fail_reason not in LEFT_OUT for row in self.rows(name, REFERENCE, kind))
 
 
 def what_to_use(quoted: Quoted) -> dict[str, Interval]:
