@@ -9,6 +9,7 @@ import logging
 import re
 import signal
 import sys
+import time
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -337,19 +338,17 @@ def _show(args: argparse.Namespace, solution: "Solution | TaskSolution") -> list
 
 def serve(args: argparse.Namespace) -> None:
     """Serve the page until Ctrl-C."""
-    from queue import SimpleQueue
-
     from cvqmpt_lab.show.studio import studio  # half a second to import
 
     problem = _of_page(args)
     compile_kernels(compiling())
     page = studio(problem, args.port)
-    # Python would lose a KeyboardInterrupt that comes while it collects garbage, and a handler that
-    # sets a threading.Event may wait forever for a lock which the interrupted wait() holds
-    ended: SimpleQueue[None] = SimpleQueue()
-    signal.signal(signal.SIGINT, lambda *_: ended.put(None))
+    interrupts: list[int] = []
+    # Python would lose a KeyboardInterrupt that comes while it collects garbage
+    signal.signal(signal.SIGINT, lambda number, _: interrupts.append(number))
     print(f"{page}; Ctrl-C ends it", flush=True)
-    ended.get()
+    while not interrupts:  # waiting on a lock would miss a signal that comes just before
+        time.sleep(0.2)
     page.stop()
 
 

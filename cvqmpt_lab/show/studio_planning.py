@@ -228,6 +228,7 @@ class Studio:
                     return
                 request = self.request
             waiting = threading.Timer(0.2, self.on_wait)
+            waiting.daemon = True  # the end of the program does not wait for it
             waiting.start()
             response = self._planned(request)
             waiting.cancel()

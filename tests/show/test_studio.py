@@ -5,6 +5,7 @@ import html
 import json
 import math
 import signal
+import subprocess
 import time
 from dataclasses import replace
 from types import SimpleNamespace
@@ -449,10 +450,15 @@ def test_an_address_is_shown_and_a_port_in_use_is_refused(page, problem):
 def test_the_command_serves_until_it_is_interrupted(tmp_path, problem):
     pytest.importorskip("viser")
     (tmp_path / "mine.json").write_text(json.dumps(problem.to_dict()))
-    process = start(["studio", tmp_path / "mine.json", "--port", "0"])
+    # if it hangs, the signal ABRT prints what each of its threads does
+    process = start(["studio", tmp_path / "mine.json", "--port", "0"], PYTHONFAULTHANDLER="1")
     for line in process.stdout:
         if "Ctrl-C" in line:
             break
     process.send_signal(signal.SIGINT)
-    _, err = process.communicate(timeout=60)
+    try:
+        _, err = process.communicate(timeout=60)
+    except subprocess.TimeoutExpired:
+        process.send_signal(signal.SIGABRT)
+        _, err = process.communicate()
     assert "studio of '0' at http://127.0.0.1:" in line and process.returncode == 0, err
