@@ -44,6 +44,7 @@ from cvqmpt_lab.paper_tables.rendering import published_of, table_of, title_of
 from cvqmpt_lab.paper_tables.rule import Word
 from cvqmpt_lab.paper_tables.statements import CLAIMS, PUBLISHED, READING
 from cvqmpt_lab.paper_tables.table_engine import by_planner
+from cvqmpt_lab.paper_tables.trainings import all_directories, training_lines
 from cvqmpt_lab.paper_tables.writers import BOLD, Lines, Ratio, estimate, markdown_table
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE, digests_in, sessions
 from cvqmpt_lab.results.row import ResultRow
@@ -175,6 +176,7 @@ def page_text(found: Mapping[str, Evidence], claims: Sequence[JudgedClaim], root
     """Return the page of claims; its links are relative to the folder `root`."""
     used = {name for item in claims for name in item.claim.suites}
     used |= {"place-task-published", "place-task-seconds", "histogram"}
+    used |= all_directories()
     return rendered(
         "claims.md.j2",
         banner=banner(found),
@@ -191,6 +193,7 @@ def page_text(found: Mapping[str, Evidence], claims: Sequence[JudgedClaim], root
         if "place-task-seconds" in found
         else [],
         mechanisms=mechanism_lines(found),
+        trainings=training_lines(found),
         results=[_made_by(item, root) for name, item in found.items() if name in used],
     )
 

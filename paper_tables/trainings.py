@@ -1,0 +1,71 @@
+"""The main comparisons of cost again, with transformers that were trained from other seeds.
+
+A results directory ``NAME-training-K`` has rows of a transformer that was trained with seed K. The
+baselines use no transformer, so their rows are those of the directory NAME.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from itertools import product
+
+from cvqmpt_lab.paper_tables.claims import Evidence, comparisons
+from cvqmpt_lab.paper_tables.statements import CBIRRT, CVQ, OPT, UNIFORM, Claim
+from cvqmpt_lab.paper_tables.writers import Lines, estimate
+from cvqmpt_lab.results.statistics import CONFIDENCE, Interval
+
+SEEDS = (0, 1, 2)  # of the trainings; the first is that of the shipped transformer
+SUITES = {  # results directories of the main comparisons, and their problems in words
+    "place-task-ompl": "place task",
+    "place-task-published": "place task in the published direction",
+    "multi-sequence-published": "tasks",
+}
+
+
+def directory_of(suite: str, seed: int) -> str:
+    """Return the name of the results directory of a suite with one training."""
+    return f"{suite}-training-{seed}" if seed else suite
+
+
+def all_directories() -> set[str]:
+    """Return the names of the results directories of all trainings."""
+    return {directory_of(suite, seed) for suite, seed in product(SUITES, SEEDS)}
+
+
+def trained_ratios(found: Mapping[str, Evidence]) -> dict[tuple[str, str, str], list[Interval]]:
+    """Return ratios of means of cost with 95 % intervals, one for each of `SEEDS`.
+
+    The keys are results directory, planner and baseline. Empty if a directory is missing.
+
+    found: results directories by name.
+    """
+    ratios: dict[tuple[str, str, str], list[Interval]] = {}
+    if not all_directories() <= found.keys():
+        return ratios
+    for suite, seed in product(SUITES, SEEDS):
+        own = found[directory_of(suite, seed)]
+        rows = [row for row in own.rows if row.planner in (CVQ, OPT)]
+        rows += [row for row in found[suite].rows if row.planner in (CBIRRT, UNIFORM)]
+        cost = Claim(
+            title="three trainings",
+            sentence="",
+            suites=(suite,),
+            planners=(CVQ, OPT),
+            baselines=(CBIRRT, UNIFORM),
+            measure="cost",
+            paper="",
+        )
+        for made in comparisons(cost, [replace(own, rows=rows)], 1.0 - CONFIDENCE):
+            assert made.effect is not None  # every comparison of costs has one
+            key = (suite, made.planner, made.baseline)
+            ratios.setdefault(key, []).append(made.effect.means)
+    return ratios
+
+
+def training_lines(found: Mapping[str, Evidence]) -> Lines:
+    """Return a line for each main comparison, with a column for each training."""
+    ratios = trained_ratios(found)
+    lines = [["problems", "planner", "against", *(f"training {seed}" for seed in SEEDS)]]
+    for (suite, planner, baseline), intervals in ratios.items():
+        cells = [f"`{planner}`", f"`{baseline}`", *map(estimate, intervals)]
+        lines.append([SUITES[suite], *cells])
+    return lines if ratios else []
