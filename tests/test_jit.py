@@ -6,6 +6,7 @@ import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Annotated, NamedTuple
 
 import numpy as np
@@ -234,6 +235,7 @@ def test_no_clock_runs_while_kernels_are_compiled(problem, monkeypatch, caplog):
     done = []
     monkeypatch.setattr("cvqmpt_lab.base.jit.compiled_before", lambda: False)
     monkeypatch.setattr("cvqmpt_lab.base.jit.compile_all", lambda: done.append("kernels"))
+    monkeypatch.setattr("cvqmpt_lab.base.jit.entries", lambda: [SimpleNamespace(ready=False)])
     goals_of = pipeline.goals_of
     monkeypatch.setattr(pipeline, "goals_of", lambda *one: done.append("goals") or goals_of(*one))
     compile_before_clocks.cache_clear()
@@ -241,6 +243,11 @@ def test_no_clock_runs_while_kernels_are_compiled(problem, monkeypatch, caplog):
         pipeline.solve(problem, "birrt", Budget(iterations=100), 0)
     assert done == ["kernels", "goals", "goals"]
     assert caplog.text.count("compiling kernels") == 1
+    # where machine code cannot be kept on disk, what the command compiled is not compiled again
+    monkeypatch.setattr("cvqmpt_lab.base.jit.entries", lambda: [SimpleNamespace(ready=True)])
+    compile_before_clocks.cache_clear()
+    compile_before_clocks()
+    assert done.count("kernels") == 1
 
 
 READ_ONLY = """

@@ -141,8 +141,8 @@ def cores() -> int:
 
 @functools.cache
 def compile_before_clocks() -> None:
-    """Compile every entry that is not on disk: no clock may run while one is compiled."""
-    if not compiled_before():
+    """Compile every entry that is not ready: no clock may run while one is compiled."""
+    if not compiled_before() and not all(one.ready for one in entries()):
         _log.warning("compiling kernels, two minutes, once per machine and version ...")
         compile_all()
 
@@ -332,6 +332,11 @@ class Entry(Kernel):
         function = self.dispatcher.compile(self.signature)
         made = self.dispatcher.overloads[self.signature]
         return made.library, made.fndesc, function
+
+    @property
+    def ready(self) -> bool:
+        """Whether this process has its machine code."""
+        return "_compiled" in vars(self)
 
     @functools.cached_property
     def unchecked(self) -> Callable:
