@@ -8,6 +8,7 @@ import pytest
 from command_line import refused
 from scipy.spatial.transform import Rotation
 
+from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.certificate.motion_request import judge_request, read_request
 from cvqmpt_lab.cli.main import main
 from cvqmpt_lab.planning.pipeline import solve
@@ -158,6 +159,14 @@ WRONG = {
     },
     "absolute_x_axis_tolerance is 'wide'": {"absolute_x_axis_tolerance": "wide"},
     "trajectory_constraints are not judged": {"trajectory_constraints": {"constraints": [{}]}},
+    "unknown key of the request 'path_constraint'": {"path_constraint": {}},
+    "unknown key of goal_constraints[0] 'joints'": {"goal_constraints": [{"joints": []}]},
+    "unknown key of orientation 'axis'": {
+        "path_constraints": {"orientation_constraints": [{"axis": "z"}]}
+    },
+    "the robot carries can; remove it": {
+        "start_state": {"attached_collision_objects": [{"object": {"id": "can"}}]}
+    },
     "goal_constraints is 3": {"goal_constraints": 3},
     "group_name 'hand' moves none of the robot's joints": {"group_name": "hand"},
     "start_state has joints 'elbow'; the robot has": {
@@ -167,6 +176,21 @@ WRONG = {
         "path_constraints": {"joint_constraints": [{"joint_name": "panda_joint1", "position": 40}]}
     },
 }
+
+
+def test_an_object_that_is_no_request_is_refused(tmp_path, problem):
+    (tmp_path / "r.json").write_text(json.dumps({"robot": {"name": "panda"}, "scene": {}}))
+    with pytest.raises(InvalidInputError, match="unknown key of the request 'robot'; valid"):
+        read_request(tmp_path / "r.json", problem.robot)
+
+
+def test_the_frame_of_a_speed_limit_has_two_names(tmp_path, request_of, problem):
+    for name in ("cartesian_speed_limited_link", "cartesian_speed_end_effector_link"):
+        request = request_of(max_cartesian_speed=0.5, **{name: "panda_link4"})
+        (tmp_path / "r.json").write_text(json.dumps(request))
+        assert list(read_request(tmp_path / "r.json", problem.robot).frame_limits) == [
+            "panda_link4"
+        ]
 
 
 @pytest.mark.parametrize("told", WRONG)

@@ -9,14 +9,22 @@ rotation vector. Orientations whose tolerances are Euler angles, MoveIt's defaul
 are `EulerBounds`. Joint positions are checked here.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.base.errors import InvalidInputError, at, located, mapping, require_choice, shown
+from cvqmpt_lab.base.errors import (
+    InvalidInputError,
+    at,
+    known_fields,
+    located,
+    mapping,
+    require_choice,
+    shown,
+)
 from cvqmpt_lab.base.files import json_value, yaml_value
 from cvqmpt_lab.base.poses import pose, ros_vector
 from cvqmpt_lab.base.values import scalar
@@ -38,7 +46,13 @@ from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.robot import FrameLimit, Robot
 from cvqmpt_lab.robot.source import read_source
 from cvqmpt_lab.scene.cloud_files import read_by_suffix
-from cvqmpt_lab.scene.moveit_scenes import field_of, listed, read_pose, read_primitive
+from cvqmpt_lab.scene.moveit_scenes import (
+    field_of,
+    listed,
+    read_pose,
+    read_primitive,
+    refuse_attached,
+)
 from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.scene.shapes import Box, Cylinder, Sphere
 from cvqmpt_lab.trajectory.trajectory import Motion
@@ -198,6 +212,15 @@ def _request(message: Any, robot: Robot) -> MotionRequest:
             return _request(fields[key], robot)
     if "goal_constraints" not in fields and "path_constraints" not in fields:
         return MotionRequest(path=_conditions(fields, robot, ""))
+    unused = (
+        "workspace_parameters pipeline_id planner_id num_planning_attempts allowed_planning_time"
+    )
+    used = (
+        "goal_constraints path_constraints start_state group_name trajectory_constraints "
+        "reference_trajectories max_velocity_scaling_factor max_acceleration_scaling_factor "
+        "max_cartesian_speed cartesian_speed_limited_link cartesian_speed_end_effector_link"
+    )
+    known_fields(fields, "the request", [*used.split(), *unused.split()])
     _check_group(str(fields.get("group_name", "")), robot)
     for key in ("trajectory_constraints", "reference_trajectories"):
         held = fields.get(key)
@@ -205,7 +228,9 @@ def _request(message: Any, robot: Robot) -> MotionRequest:
             raise InvalidInputError(f"{key} are not judged; write the request without them")
     goals = listed(fields.get("goal_constraints"), "goal_constraints")
     speed = _number(fields.get("max_cartesian_speed", 0.0), "max_cartesian_speed")
-    frame = fields.get("cartesian_speed_limited_link") or robot.end_effector
+    # the second name is that of earlier versions
+    frames = ("cartesian_speed_limited_link", "cartesian_speed_end_effector_link")
+    frame = next(filter(None, map(fields.get, frames)), robot.end_effector)
     return MotionRequest(
         _start(fields.get("start_state"), robot),
         _conditions(fields.get("path_constraints") or {}, robot, "path_constraints"),
@@ -228,6 +253,7 @@ def _factor(fields: Mapping[str, Any], name: str) -> float:
 
 def _start(state: Any, robot: Robot) -> dict[str, float]:
     """Return the values of the planned joints in a RobotState; none for the current state."""
+    refuse_attached(state)
     joints = field_of(state, "joint_state")
     names = listed(field_of(joints, "name"), "start_state.joint_state.name")
     values = listed(field_of(joints, "position"), "start_state.joint_state.position")
@@ -267,7 +293,17 @@ def _check_group(name: str, robot: Robot) -> None:
 
 def _conditions(message: Any, robot: Robot, where: str) -> Conditions:
     """Return the conditions of a `Constraints` message."""
-    fields = mapping(message, where, "joint_constraints, position_constraints, ...")
+    readers: Mapping[str, tuple[Callable, str]] = {
+        "joint": (_joint, "joint_name position tolerance_above tolerance_below"),
+        "position": (_position, "header link_name target_point_offset constraint_region"),
+        "orientation": (
+            _orientation,
+            "header orientation link_name absolute_x_axis_tolerance absolute_y_axis_tolerance "
+            "absolute_z_axis_tolerance parameterization",
+        ),
+    }
+    names = [f"{key}_constraints" for key in (*readers, "visibility")]
+    fields = known_fields(message, where or "the request", ["name", *names])
     if fields.get("visibility_constraints"):
         raise InvalidInputError(
             f"{at(where, 'visibility_constraints')} are not judged: state the view as look-at of a "
@@ -276,11 +312,11 @@ def _conditions(message: Any, robot: Robot, where: str) -> Conditions:
     regions: list[TaskSpaceRegion] = []
     joints: list[JointBounds] = []
     eulers: list[EulerBounds] = []
-    for key, read in (("joint", _joint), ("position", _position), ("orientation", _orientation)):
+    for key, (read, known) in readers.items():
         name = f"{key}_constraints"
         for k, item in enumerate(listed(fields.get(name), at(where, name))):
             with located(at(where, f"{name}[{k}]")):
-                made = read(mapping(item, ""), robot)
+                made = read(known_fields(item, key, [*known.split(), "weight"]), robot)
             kinds: Sequence[tuple[type, list]] = (
                 (TaskSpaceRegion, regions),
                 (JointBounds, joints),

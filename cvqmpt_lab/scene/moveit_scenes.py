@@ -214,14 +214,7 @@ def _refuse_other_content(whole: Mapping[str, Any], world: Mapping[str, Any]) ->
         raise InvalidInputError(
             "it has an octomap; write it as a cloud, and give that as a map_file"
         )
-    carried = field_of(whole.get("robot_state"), "attached_collision_objects")
-    if carried:
-        items = listed(carried, "attached objects")
-        names = [str(field_of(field_of(item, "object"), "id")) for item in items]
-        raise InvalidInputError(
-            f"the robot carries {', '.join(names)}; remove it and write it as 'attachments' of "
-            "the problem"
-        )
+    refuse_attached(whole.get("robot_state"))
     for item in listed(whole.get("fixed_frame_transforms"), "fixed_frame_transforms"):
         moved = field_of(item, "transform")
         T = _matrix(
@@ -232,6 +225,17 @@ def _refuse_other_content(whole: Mapping[str, Any], world: Mapping[str, Any]) ->
                 f"frame {shown(field_of(item, 'child_frame_id'))} is moved by a transform; write "
                 "poses without it"
             )
+
+
+def refuse_attached(state: Any) -> None:
+    """Refuse the objects that the robot carries in a RobotState."""
+    carried = listed(field_of(state, "attached_collision_objects"), "attached objects")
+    if carried:
+        names = [str(field_of(field_of(item, "object"), "id")) for item in carried]
+        raise InvalidInputError(
+            f"the robot carries {', '.join(names)}; remove it and write it as 'attachments' of "
+            "the problem"
+        )
 
 
 def _refuse_link_settings(whole: Mapping[str, Any], objects: Sequence[str]) -> None:

@@ -20,7 +20,7 @@ import io
 import json
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -30,6 +30,7 @@ import numpy as np
 
 from cvqmpt_lab.base.errors import (
     InvalidInputError,
+    known_fields,
     mapping,
     require_choice,
     shown,
@@ -320,7 +321,7 @@ def _from_value(found: Any) -> Motion:
         names = tuple(names)
     if key is None:
         known = ("header", "joint_names", "joints", "points", "limits")
-        _refuse_unknown("the trajectory", content, known)
+        known_fields(content, "the trajectory", known)
         motion = _from_points(names, content["points"])
         return replace(motion, limits=_limits(content.get("limits", {}), motion))
     return Motion(names, _table(content[key]))
@@ -334,7 +335,7 @@ def _from_points(names: tuple[str, ...] | None, points: list[dict[str, Any]]) ->
         raise InvalidInputError("it ends with '...': print it by ros2 topic echo --full-length")
     known = ("positions", "velocities", "accelerations")
     for k, point in enumerate(points):
-        _refuse_unknown(f"point {k}", point, (*known, "effort", "time_from_start"))
+        known_fields(point, f"point {k}", (*known, "effort", "time_from_start"))
     kinds = []
     for key in known:
         given = [bool(point.get(key)) for point in points]
@@ -357,7 +358,7 @@ def _from_points(names: tuple[str, ...] | None, points: list[dict[str, Any]]) ->
 
 def _limits(given: Any, motion: Motion) -> dict[str, np.ndarray]:
     """Return the limits of a file by kind, inf where it says null."""
-    _refuse_unknown("limits", given, tuple(LIMIT_UNITS))
+    known_fields(given, "limits", tuple(LIMIT_UNITS))
     found = {}
     for kind, row in given.items():
         count = motion.positions.shape[1]
@@ -368,12 +369,6 @@ def _limits(given: Any, motion: Motion) -> dict[str, np.ndarray]:
             raise InvalidInputError(f"limits: {kind} is {shown(row)}; give numbers above 0")
         found[kind] = values
     return found
-
-
-def _refuse_unknown(where: str, value: Any, known: Sequence[str]) -> None:
-    """Refuse a value that is no json object or has an unknown key."""
-    for key in mapping(value, where, ", ".join(known)):
-        require_choice(f"key of {where}", key, known)
 
 
 def _table(rows: list[list[float]]) -> np.ndarray:
