@@ -87,6 +87,8 @@ def _scene(
         of = str(fields.get("id", "")).strip()
         with located(f"object {shown(of)}"):
             pieces = list(_pieces_of(fields, path))
+            if not pieces:
+                raise InvalidInputError("it has no shape; give 'primitives' or 'meshes'")
         names = [of] if len(pieces) == 1 else [f"{of}/{piece}" for piece in range(len(pieces))]
         placed = zip(names, pieces, strict=True)
         objects += [SceneObject(name, shape, T) for name, (shape, T) in placed]

@@ -107,6 +107,7 @@ def test_settings_of_links_are_refused_by_name(tmp_path, caplog):
         ({"planes": [{"coef": [0, 0, 1, 0]}]}, "unknown shape 'plane'"),
         ({"primitives": [{"type": "box", "dimensions": [1, 1]}]}, "box has 2 dimensions; 3 are"),
         ({"primitive_poses": []}, "1 primitives and 0 primitive_poses"),
+        ({"primitives": [], "primitive_poses": []}, "it has no shape; give 'primitives'"),
         ({"operation": 1}, "operation 1; only objects that are added"),
     ],
 )
