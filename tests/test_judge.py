@@ -74,6 +74,9 @@ WRONG = {
     r"one point does not move": lambda plan: (
         (plan.joint_names, plan.positions[:1], plan.times[:1])
     ),
+    r"values of time have shape \(6, 1\); positions of \(6, 7\) need \(6,\)": lambda plan: (
+        (plan.joint_names, plan.positions[:6], plan.times[:6, None])
+    ),
     r"leave out 'finger', fixed joints or ones that follow": extended,
     r"names joint 'panda_joint1' twice": lambda plan: extended(plan, ("panda_joint1",)),
     r"the robot has .*: give the robot that was planned": lambda plan: (

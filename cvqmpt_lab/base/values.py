@@ -50,6 +50,8 @@ def numbers(value: Any, where: str, what: str = "numbers") -> FloatArray:
             kinds = set(map(type, entries)) - {float, int}
             if not all(issubclass(kind, Real) and kind is not bool for kind in kinds):
                 raise TypeError
+        elif value.dtype.kind == "c":  # numpy drops the imaginary part
+            raise TypeError
         return np.array(value, dtype=float) + 0.0  # + 0.0 turns -0.0 into 0.0: one form per value
     except (TypeError, ValueError, OverflowError) as error:
         raise InvalidInputError(f"{where} is {shown(value)}; it must be {what}") from error

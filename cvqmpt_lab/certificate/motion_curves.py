@@ -41,7 +41,13 @@ def curves_of(
     """
     assert motion.times is not None
     q, v, a = motion.positions, motion.velocities, motion.accelerations
-    for what, values in (("time", motion.times), ("velocity", v), ("acceleration", a)):
+    wanted = (("time", motion.times, q.shape[:1]), ("velocity", v, q.shape))
+    for what, values, shape in (*wanted, ("acceleration", a, q.shape)):
+        if values is not None and np.shape(values) != shape:
+            raise InvalidInputError(
+                f"values of {what} have shape {np.shape(values)}; positions of {q.shape} need "
+                f"{shape}"
+            )
         if values is not None and not np.isfinite(values).all():
             raise InvalidInputError(f"a value of {what} is not finite")
     _check_times(motion.times)

@@ -108,7 +108,7 @@ class MotionRequest:
 def read_request(path: Path, robot: Robot) -> MotionRequest:
     """Read the request of a json or yaml file; InvalidInputError names what cannot be judged."""
     readers = {
-        ".json": lambda data: _request(json_value(data.decode(), "it"), robot),
+        ".json": lambda data: _request(json_value(data.decode("utf-8-sig"), "it"), robot),
         ".yaml": lambda data: _request(yaml_value(data.decode()), robot),
     }
     readers[".yml"] = readers[".yaml"]

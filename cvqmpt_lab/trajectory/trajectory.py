@@ -34,6 +34,7 @@ from cvqmpt_lab.base.errors import (
     mapping,
     require_choice,
     shown,
+    unique,
 )
 from cvqmpt_lab.base.files import csv_table, finite, json_value, write_text, yaml_value
 from cvqmpt_lab.base.values import numbers
@@ -224,7 +225,7 @@ def read_motion(path: Path, topic: str | None = None) -> Motion:
         raise InvalidInputError(f"topic {topic!r} belongs to a recording; {path} is none")
     readers = {
         ".csv": _from_csv,
-        ".json": lambda data: _from_value(json_value(data.decode(), "it")),
+        ".json": lambda data: _from_value(json_value(data.decode("utf-8-sig"), "it")),
         ".yaml": lambda data: _from_value(yaml_value(data.decode())),
         ".npz": _from_arrays,
     }
@@ -248,7 +249,8 @@ def _checked(motion: Motion, path: Path) -> Motion:
 
 
 def _from_csv(data: bytes) -> Motion:
-    rows = [row for row in csv.reader(io.StringIO(data.decode())) if row]
+    # some programs begin a text with a byte order mark
+    rows = [row for row in csv.reader(io.StringIO(data.decode("utf-8-sig"))) if row]
     if not rows:
         raise InvalidInputError("it is empty")
     header, lines = None, rows
@@ -263,13 +265,14 @@ def _from_csv(data: bytes) -> Motion:
         raise InvalidInputError(f"{len(header)} names in its header, {table.shape[1]} values a row")
     if header is None or "time" not in header:
         return Motion(header, table)
+    unique(header, "columns")
     names = tuple(name.removesuffix("_position") for name in header if name.endswith("_position"))
     if not any(name.endswith(tuple(f"_{kind}" for kind in CSV_COLUMN_KINDS)) for name in header):
         names = tuple(name for name in header if name != "time")
         header = tuple(name if name == "time" else f"{name}_position" for name in header)
     columns = dict(zip(header, table.T, strict=False))
     expected = ["time", *(f"{name}_{kind}" for kind in CSV_COLUMN_KINDS for name in names)]
-    if not names or len(columns) != len(header) or not set(header) <= set(expected):
+    if not names or not set(header) <= set(expected):
         odd = next((name for name in header if name not in expected), header[0])
         raise InvalidInputError(
             f"column {shown(odd)}: with a column 'time', give JOINT_position, JOINT_velocity, or "
@@ -278,6 +281,12 @@ def _from_csv(data: bytes) -> Motion:
     kinds: list[Any] = [None, None, None]
     for k, kind in enumerate(CSV_COLUMN_KINDS):
         if any(column.endswith(f"_{kind}") for column in header):
+            for name in names:
+                if f"{name}_{kind}" not in columns:
+                    raise InvalidInputError(
+                        f"it has no column {shown(f'{name}_{kind}')}, other joints have: give all "
+                        "or none"
+                    )
             kinds[k] = np.stack([columns[f"{name}_{kind}"] for name in names], axis=1)
     return Motion(names, kinds[0], columns["time"], kinds[1], kinds[2])
 

@@ -256,6 +256,17 @@ def test_what_is_no_motion_is_one_line(tmp_path, capsys, row):
     assert row["line"] in command_refused(capsys, "certify", file, "place-task")
 
 
+def test_a_byte_order_mark_is_no_part_of_a_name(tmp_path):
+    for name, text in (("a.csv", "time,a\n0,1\n"), ("a.json", '{"joints": ["a"], "path": [[1]]}')):
+        (tmp_path / name).write_text(text, encoding="utf-8-sig")
+        assert read_motion(tmp_path / name).joint_names == ("a",)
+
+
+def test_complex_states_are_refused(tmp_path):
+    np.savez(tmp_path / "a.npz", t=np.arange(2.0), q=np.full((2, 7), 1j))
+    refused("q is .*1.j.*; it must be numbers", read_motion, tmp_path / "a.npz")
+
+
 GRAVITY = 9.81
 
 
