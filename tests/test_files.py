@@ -188,3 +188,10 @@ def test_the_environment_variable_sets_the_cache_folder(tmp_path, monkeypatch, n
 def test_a_cache_folder_of_an_unknown_user_is_refused(monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", "~nouser/x")
     refused("XDG_CACHE_HOME: no folder '~nouser/x'", cache_folder)
+
+
+def test_a_byte_order_mark_is_no_text_and_an_empty_file_no_object(tmp_path):
+    (tmp_path / "a.json").write_text('{"a": 1}', encoding="utf-8-sig")
+    assert read_json_object(tmp_path / "a.json") == {"a": 1}
+    (tmp_path / "a.json").write_text(" // nothing\n")
+    refused("a.json is empty; write one object", read_json_object, tmp_path / "a.json")

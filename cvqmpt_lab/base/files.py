@@ -127,9 +127,9 @@ def read_bytes(path: Path, what: str = "file") -> bytes:
 
 
 def read_text(path: Path, what: str = "file") -> str:
-    """Read UTF-8 text as `read_bytes` does."""
+    """Read UTF-8 text as `read_bytes` does, without a byte order mark."""
     try:
-        return read_bytes(path, what).decode("utf-8")
+        return read_bytes(path, what).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise InvalidInputError(f"{what} {path} is not UTF-8 text (byte {error.start})") from error
 
@@ -171,7 +171,9 @@ def json_object(text: str, what: str) -> dict[str, Any]:
     except InvalidInputError:
         plain = _without_comments(text)
         begin = plain.strip().partition("\n")[0][:20]
-        if begin and begin[0] not in "{[":
+        if not begin:
+            raise InvalidInputError(f"{what} is empty; write one object, {{...}}") from None
+        if begin[0] not in "{[":
             cure = f'it begins with {begin!r}; write one object, {{"name": value, ...}}'
             raise InvalidInputError(f"{what} is not json: {cure}") from None
         if plain == text:
