@@ -116,7 +116,10 @@ def read_urdf(path: Path, package_dirs: Sequence[Path | str] = ()) -> Urdf:
     """
     root, included = read_xml(path, "URDF"), tuple[str, ...]()
     invalid = f"{path} does not contain a valid URDF"
-    if any(element.tag.startswith("xacro:") for element in root.iter()):
+    if any(
+        element.tag.startswith("xacro:") or re.search(r"\$[({]", " ".join(element.attrib.values()))
+        for element in root.iter()
+    ):
         root, included = _expanded(path, package_dirs)
     if root.tag != "robot":
         raise InvalidInputError(f"{invalid}: its root is <{root.tag}>, not <robot>")
@@ -170,13 +173,17 @@ def _joint(element: ElementTree.Element, path: Path, most_turn: float = 1e5) -> 
     def number(part: ElementTree.Element, attribute: str, default: float) -> float:
         text = part.get(attribute)
         try:
+            if text is not None and (text.split() != [text] or "_" in text):
+                raise ValueError  # Python reads them as numbers, pinocchio does not
             return default if text is None else float(text)
         except ValueError as error:
             raise InvalidInputError(f"{attribute} is {shown(text)}, not a number") from error
 
     with located(f"joint {shown(element.get('name', ''))} of {path.name}"):
         for attribute in ("velocity", "effort"):
-            number(limit, attribute, math.nan)
+            value = number(limit, attribute, 0.0)
+            if not 0.0 <= value < math.inf:
+                raise InvalidInputError(f"{attribute} is {value:g}; give a number of 0 or more")
             stated = limit is nothing or attribute in limit.attrib
             if not stated and element.get("type") != "continuous":
                 raise InvalidInputError(
@@ -184,6 +191,10 @@ def _joint(element: ElementTree.Element, path: Path, most_turn: float = 1e5) -> 
                 )
         # a <limit> without lower or upper means 0, by the URDF format
         unstated = math.nan if limit is nothing else 0.0
+        known = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
+        require_choice("type", element.get("type"), known)
+        if mimic is not nothing and not mimic.get("joint"):
+            raise InvalidInputError('its <mimic> names no joint; give joint="NAME"')
         joint = Joint(
             name=element.get("name", ""),
             kind=element.get("type", ""),
@@ -454,6 +465,10 @@ def _not_negative(values: Sequence[float]) -> bool:
     return min(values) >= 0.0
 
 
+def _are_radians(values: Sequence[float], most: float = 7.0) -> bool:
+    return max(map(abs, values)) < most
+
+
 URDF_NUMBERS = (
     NumbersOf("box", "size", 3, _not_negative, "0 or more [m]"),
     NumbersOf("cylinder", "radius", 1, _not_negative, "0 or more [m]"),
@@ -461,7 +476,8 @@ URDF_NUMBERS = (
     NumbersOf("sphere", "radius", 1, _not_negative, "0 or more [m]"),
     NumbersOf("mesh", "scale", 3, all, "numbers other than 0", has_default=True),
     NumbersOf("origin", "xyz", 3, has_default=True),
-    NumbersOf("origin", "rpy", 3, has_default=True),
+    NumbersOf("origin", "rpy", 3, _are_radians, "radians: degrees?", has_default=True),
+    NumbersOf("mass", "value", 1, _not_negative, "0 or more [kg]"),
     NumbersOf("axis", "xyz", 3, any, "a direction"),
 )
 
@@ -490,6 +506,10 @@ def prepare_bodies(root: ElementTree.Element, path: Path, visual: bool) -> Prepa
     """
     # parts of a link; simulators read others
     known = ("inertial", "visual", "collision", "gazebo", "sensor", "contact", "material")
+    of_joints = (
+        *("origin", "parent", "child", "axis", "limit", "mimic", "dynamics", "safety_controller"),
+        *("calibration", "gazebo", "sensor"),
+    )
     placeholders, taken, bodiless, unknown = list[str](), list[str](), list[str](), list[str]()
     for link in root.findall("link"):
         name = link.get("name", "")
@@ -498,6 +518,8 @@ def prepare_bodies(root: ElementTree.Element, path: Path, visual: bool) -> Prepa
             for part in link
             if part.tag not in known
         ]
+        with located(f"link {shown(name)} of {path.name}, inertial"):
+            _check_numbers([*link.findall("inertial/mass"), *link.findall("inertial/origin")])
         for body in link.findall("collision"):
             if not _is_body(body, f"link {shown(name)} of {path.name}, collision"):
                 link.remove(body)
@@ -511,6 +533,11 @@ def prepare_bodies(root: ElementTree.Element, path: Path, visual: bool) -> Prepa
         if visuals:
             (taken if visual else bodiless).append(name)
     for joint in root.findall("joint"):
+        unknown += [
+            f"<{part.tag}> of {joint.get('name')}{nearest(part.tag, of_joints[:6])}"
+            for part in joint
+            if part.tag not in of_joints
+        ]
         axes = [] if joint.get("type") == "fixed" else joint.findall("axis")
         with located(f"joint {shown(joint.get('name'))} of {path.name}"):
             _check_numbers([*joint.findall("origin"), *axes])
@@ -554,7 +581,13 @@ def _is_body(body: ElementTree.Element, where: str, thinnest: float = 1e-4) -> b
 
 
 def _check_numbers(elements: Sequence[ElementTree.Element]) -> None:
-    """Refuse elements whose attributes do not have the numbers that `URDF_NUMBERS` demands."""
+    """Refuse elements whose attributes do not have the numbers that `URDF_NUMBERS` demands.
+
+    An <origin> has no attribute but these: a rotation in another form would be left out.
+    """
+    for element in elements:
+        for name in element.attrib if element.tag == "origin" else ():
+            require_choice("attribute of its origin", name, ("xyz", "rpy"))
     for element, wanted in product(elements, URDF_NUMBERS):
         text = element.get(wanted.attribute, "")
         stated = wanted.attribute in element.attrib

@@ -145,7 +145,11 @@ def test_an_srdf_switches_the_comparison_of_links_off_and_on(edited, tmp_path):
     assert "wrist" not in touched and "shoulder" in touched
 
 
-def test_unknown_parts_of_links_are_named(edited):
+def test_unknown_parts_of_links_and_joints_are_named(edited):
+    (note,) = load_robot(
+        edited(('<origin xyz="0 0 0.15" ', '<orign xyz="0 0 0.15" ')), "tool"
+    ).notes
+    assert note == "unknown and skipped: <orign> of lift; did you mean 'origin'?"
     typo = (SPHERE, SPHERE + '</collision><colision name="a"></colision><collision>' + SPHERE)
     (note,) = load_robot(edited(typo), "tool").notes
     assert note == "unknown and skipped: <colision> of wrist; did you mean 'collision'?"
