@@ -450,7 +450,16 @@ def _without_uncompared(root: ElementTree.Element, srdf: str) -> list[str]:
     """
     if not srdf:
         return []
-    off, enabled = default_off(srdf_root(Path(srdf)))
+    described = srdf_root(Path(srdf))
+    off, enabled = default_off(described)
+    named = [
+        item.get(key, "")
+        for item in described
+        if item.tag in ("disable_collisions", "enable_collisions", "disable_default_collisions")
+        for key in ("link1", "link2", "link")
+        if key in item.attrib
+    ]
+    links = {link.get("name", "") for link in root.findall("link")}
     alone, partly = list[str](), list[str]()
     for link in root.findall("link"):
         name, bodies = link.get("name", ""), link.findall("collision")
@@ -463,6 +472,7 @@ def _without_uncompared(root: ElementTree.Element, srdf: str) -> list[str]:
         for body in bodies:
             link.remove(body)
     lines = {
+        "named by the SRDF, but no links of the URDF": [one for one in named if one not in links],
         "compared with nothing, by the SRDF": alone,
         "compared only with the links that the SRDF enables, not with obstacles": partly,
     }

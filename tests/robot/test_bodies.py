@@ -194,3 +194,10 @@ def test_a_velocity_of_0_is_refused_with_the_place_to_give_one(edited):
     refused(pattern, lambda: robot.joint_limits)
     given = robot_from_source({**robot.source, "velocity_limits": [4.0, 3.0, 2.0, 1.0]})
     np.testing.assert_allclose(given.joint_limits.velocity, (4.0, 3.0, 2.0, 1.0))
+
+
+def test_links_that_only_the_srdf_names_are_named(edited, tmp_path):
+    srdf = tmp_path / "arm.srdf"
+    srdf.write_text('<robot><disable_collisions link1="tool0" link2="wrist"/></robot>')
+    notes = load_robot(edited(), "tool", srdf=srdf).notes
+    assert notes == ["named by the SRDF, but no links of the URDF: tool0"]
