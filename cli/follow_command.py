@@ -17,7 +17,7 @@ from cvqmpt_lab.cli.problem_arguments import chosen_robot, configuration
 from cvqmpt_lab.cli.problem_options import ROBOT
 from cvqmpt_lab.planning.follow_lines import follow_lines, timed
 from cvqmpt_lab.robot.robot import SLOW_SPEED
-from cvqmpt_lab.scene.scene import Scene
+from cvqmpt_lab.scene.scene import Scene, refuse_far_poses
 from cvqmpt_lab.scene.scene_files import read_scene
 from cvqmpt_lab.trajectory.timing import TimingSettings
 from cvqmpt_lab.trajectory.trajectory import save_trajectory
@@ -61,8 +61,8 @@ def poses_of(path: Path) -> list[np.ndarray]:
         try:
             values = [float(cell) for cell in row]
         except ValueError as error:
-            if k == 0:
-                continue  # a header
+            if k == 0 and not any(cell.strip()[:1] in {*"+-.0123456789"} for cell in row):
+                continue  # a header; a number may be misspelt
             raise InvalidInputError(f"{path}: line {k + 1} is {row}; give numbers") from error
         if len(values) not in (6, 7):
             raise InvalidInputError(
@@ -73,6 +73,7 @@ def poses_of(path: Path) -> list[np.ndarray]:
         with located(f"{path}: line {k + 1}"):
             placed = Placement((x, y, z), quaternion=(a, b, c, w[0])) if w else None
             found.append((placed or Placement((x, y, z), rpy=(a, b, c))).matrix)
+        refuse_far_poses({f"{path}: line {k + 1}": found[-1]})
     return found
 
 

@@ -128,6 +128,7 @@ def _obstacles_of(args: argparse.Namespace, made: Scan, arm: Arm | None) -> Scen
                 f"--radius {args.radius:g} makes balls of points, --unknown occupied cells: leave "
                 "one of the two out"
             )
+        refuse_given(args, ["padding"], "inflates cells of a map; with --radius, add it to that")
         return made.scene(PointCloud(made.points, args.radius) if len(made.points) else None)
     if len(made.points) == 0 and args.unknown == "free":
         return made.scene()

@@ -76,13 +76,13 @@ def write_report(directory: Path, out: Path | None = None) -> None:
     """Write an html file about results, into their folder unless `out` is given; print its path."""
     from cvqmpt_lab.experiments.replay import first_path
 
+    out = writable_file(out or directory / "report.html")
     found = pages.evidence_of(directory)
     alone = (directory / PROVENANCE_FILE).is_file()
     titled = {} if directory.resolve() == RESULTS else {"title": directory.resolve().name}
     text = pages.report_html(
         found, ProgressBar("report"), first_path(found), verdicts=not alone, **titled
     )
-    out = writable_file(out or directory / "report.html")
     write_text(out, text)
     print(f"report, for a browser: {out}")
 

@@ -96,6 +96,10 @@ def test_a_line_that_cannot_be_followed_is_told_with_place_and_reason(
     assert "1 pose is no line" in refused(capsys, "follow", tmp_path / "p.csv")
     (tmp_path / "p.csv").write_text("0.4,0,0.5,3.14,0,0\n0.4,0,0.5,3.14,0,0\n")
     assert "pose 1 repeats pose 0" in refused(capsys, "follow", tmp_path / "p.csv")
+    (tmp_path / "p.csv").write_text("0.4,O,0.5,3.14,0,0\n0.4,0,0.5,3.14,0,0\n")
+    assert "line 1 is ['0.4', 'O'" in refused(capsys, "follow", tmp_path / "p.csv")
+    (tmp_path / "p.csv").write_text("400,0,500,3.14,0,0\n")
+    assert "p.csv: line 1 is 500 m away" in refused(capsys, "follow", tmp_path / "p.csv")
 
 
 def test_the_command_writes_path_and_motion(tmp_path, cvqmpt):
