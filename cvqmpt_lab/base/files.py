@@ -129,7 +129,7 @@ def read_bytes(path: Path, what: str = "file") -> bytes:
 def read_text(path: Path, what: str = "file") -> str:
     """Read UTF-8 text as `read_bytes` does, without a byte order mark."""
     try:
-        return read_bytes(path, what).decode("utf-8-sig")
+        return read_bytes(path, what).decode().removeprefix("\ufeff")
     except UnicodeDecodeError as error:
         raise InvalidInputError(f"{what} {path} is not UTF-8 text (byte {error.start})") from error
 
