@@ -465,10 +465,6 @@ def _not_negative(values: Sequence[float]) -> bool:
     return min(values) >= 0.0
 
 
-def _are_radians(values: Sequence[float], most: float = 7.0) -> bool:
-    return max(map(abs, values)) < most
-
-
 URDF_NUMBERS = (
     NumbersOf("box", "size", 3, _not_negative, "0 or more [m]"),
     NumbersOf("cylinder", "radius", 1, _not_negative, "0 or more [m]"),
@@ -476,7 +472,7 @@ URDF_NUMBERS = (
     NumbersOf("sphere", "radius", 1, _not_negative, "0 or more [m]"),
     NumbersOf("mesh", "scale", 3, all, "numbers other than 0", has_default=True),
     NumbersOf("origin", "xyz", 3, has_default=True),
-    NumbersOf("origin", "rpy", 3, _are_radians, "radians: degrees?", has_default=True),
+    NumbersOf("origin", "rpy", 3, lambda rpy: max(map(abs, rpy)) < 7.0, "radians: degrees?", True),
     NumbersOf("mass", "value", 1, _not_negative, "0 or more [kg]"),
     NumbersOf("axis", "xyz", 3, any, "a direction"),
 )
@@ -513,11 +509,7 @@ def prepare_bodies(root: ElementTree.Element, path: Path, visual: bool) -> Prepa
     placeholders, taken, bodiless, unknown = list[str](), list[str](), list[str](), list[str]()
     for link in root.findall("link"):
         name = link.get("name", "")
-        unknown += [
-            f"<{part.tag}> of {name}{nearest(part.tag, known[:3])}"
-            for part in link
-            if part.tag not in known
-        ]
+        unknown += _unknown_parts(link, known, 3)
         with located(f"link {shown(name)} of {path.name}, inertial"):
             _check_numbers([*link.findall("inertial/mass"), *link.findall("inertial/origin")])
         for body in link.findall("collision"):
@@ -533,11 +525,7 @@ def prepare_bodies(root: ElementTree.Element, path: Path, visual: bool) -> Prepa
         if visuals:
             (taken if visual else bodiless).append(name)
     for joint in root.findall("joint"):
-        unknown += [
-            f"<{part.tag}> of {joint.get('name')}{nearest(part.tag, of_joints[:6])}"
-            for part in joint
-            if part.tag not in of_joints
-        ]
+        unknown += _unknown_parts(joint, of_joints, 6)
         axes = [] if joint.get("type") == "fixed" else joint.findall("axis")
         with located(f"joint {shown(joint.get('name'))} of {path.name}"):
             _check_numbers([*joint.findall("origin"), *axes])
@@ -548,6 +536,12 @@ def prepare_bodies(root: ElementTree.Element, path: Path, visual: bool) -> Prepa
     }
     notes = (f"{what}: {few(names)}" for what, names in remarks.items() if names)
     return Prepared(tuple(bodiless), tuple(notes))
+
+
+def _unknown_parts(item: ElementTree.Element, known: Sequence[str], offered: int) -> list[str]:
+    """Name parts of a link or joint that are not `known`, with a name meant of the first ones."""
+    parts = (part.tag for part in item if part.tag not in known)
+    return [f"<{tag}> of {item.get('name')}{nearest(tag, known[:offered])}" for tag in parts]
 
 
 def _is_body(body: ElementTree.Element, where: str, thinnest: float = 1e-4) -> bool:
