@@ -295,7 +295,6 @@ SCAN: Options = {
         "--map": option(
             "edge length of the cells of a map (0.02)",
             type=positive,
-            default=0.02,
             metavar="M",
         ),
         "--padding": option(

@@ -47,6 +47,7 @@ from cvqmpt_lab.scene.shapes import PointCloud
 from cvqmpt_lab.sensing.crop import Crop
 from cvqmpt_lab.sensing.plane import CAMERA_UP
 from cvqmpt_lab.sensing.scan import (
+    MAP_RESOLUTION_M,
     Arm,
     MapSettings,
     Scan,
@@ -129,11 +130,12 @@ def _obstacles_of(args: argparse.Namespace, made: Scan, arm: Arm | None) -> Scen
                 "one of the two out"
             )
         refuse_given(args, ["padding"], "inflates cells of a map; with --radius, add it to that")
+        refuse_given(args, ["map"], "is the size of cells; --radius makes balls: leave one out")
         return made.scene(PointCloud(made.points, args.radius) if len(made.points) else None)
     if len(made.points) == 0 and args.unknown == "free":
         return made.scene()
     settings = MapSettings(
-        resolution=args.map,
+        resolution=args.map or MAP_RESOLUTION_M,
         padding=args.padding,
         unknown=args.unknown,
         robot_margin=args.robot_margin,

@@ -113,6 +113,7 @@ def test_goals_and_starts_that_are_missed_are_found(judged, request_of, problem,
     kinds = {fault.kind for fault in judged(request_of(), states[:-3]).check.certificate.faults}
     assert kinds == {"goal"}
     start = {"joint_state": {"name": ["panda_joint1"], "position": [states[0, 0] + 0.1]}}
+    start["is_diff"] = True
     faults = judged(request_of(start_state=start), states).check.certificate.faults
     assert [fault.kind for fault in faults] == ["current"]
     bounds = {"joint_name": "panda_joint1", "position": float(states[:, 0].min())}
@@ -171,6 +172,9 @@ WRONG = {
     "group_name 'hand' moves none of the robot's joints": {"group_name": "hand"},
     "start_state has joints 'elbow'; the robot has": {
         "start_state": {"joint_state": {"name": ["elbow"], "position": [0.0]}}
+    },
+    "start_state has no value of panda_joint2, panda_joint3": {
+        "start_state": {"joint_state": {"name": ["panda_joint1"], "position": [0.0]}}
     },
     "position 40 of panda_joint1 is outside its limits": {
         "path_constraints": {"joint_constraints": [{"joint_name": "panda_joint1", "position": 40}]}

@@ -272,6 +272,12 @@ def _start(state: Any, robot: Robot) -> dict[str, float]:
             f"start_state has joints {', '.join(map(shown, names))}; the robot has "
             f"{', '.join(robot.joint_names)}: give the robot that was planned"
         )
+    missing = [name for name in robot.joint_names if name not in found]
+    if names and missing and not field_of(state, "is_diff"):
+        raise InvalidInputError(
+            f"start_state has no value of {', '.join(missing)}; add it, or write is_diff: true if "
+            "the motion may start at any value of it"
+        )
     return found
 
 

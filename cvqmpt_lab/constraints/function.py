@@ -248,7 +248,7 @@ class FunctionConstraint(Constraint):
         if q.flags.writeable:  # a function that changes its argument is told so
             q = q.copy()
             q.flags.writeable = False
-        value = self._told(function, lambda at: np.asarray(function(at), dtype=float), q)
+        value = self._told(function, lambda at: _real(function(at)), q)
         if value.shape == shape:
             return value
         if value.size != int(np.prod(shape)):
@@ -267,6 +267,14 @@ class FunctionConstraint(Constraint):
         except Exception:  # made for one state
             return False
         return np.allclose(together, alone, equal_nan=True)
+
+
+def _real(value: Any) -> np.ndarray:
+    """Return what a user's function returned as floats; complex numbers are refused."""
+    array = np.asarray(value)
+    if array.dtype.kind == "c":
+        raise TypeError("complex numbers are returned; return real ones")
+    return array.astype(float, copy=False)
 
 
 def source_of(function: Any) -> str:

@@ -288,6 +288,10 @@ def _read_pcd(data: bytes, posed: bool = False) -> np.ndarray:
 
 def _refuse_viewpoint(words: Sequence[str]) -> None:
     """Refuse a pose x, y, z, qw, qx, qy, qz that is not the identity."""
+    if len(words) != 7:
+        raise InvalidInputError(
+            f"its VIEWPOINT has {len(words)} numbers; it has seven: x, y, z, qw, qx, qy, qz"
+        )
     x, y, z, qw, qx, qy, qz = map(float, words)
     if any((x, y, z, qx, qy, qz)):
         raise InvalidInputError(

@@ -183,6 +183,7 @@ BAD = {
     ),
     "F is not finite at .0, -0.785": FunctionConstraint(1, lambda q: q[..., :1] / q[..., :1]),
     "F raises ValueError: no manifold": FunctionConstraint(1, at_random),
+    "F raises TypeError: complex numbers": FunctionConstraint(1, lambda q: q[..., :1] + 1j),
     "prints 'here'": FunctionConstraint(1, talking),
     "changes its argument": FunctionConstraint(1, put),
 }

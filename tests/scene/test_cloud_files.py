@@ -131,6 +131,8 @@ def test_a_pose_of_the_sensor_in_a_pcd_file_is_read_only_with_extrinsics(tmp_pat
         np.testing.assert_allclose(read_cloud(path).points, POINTS)
     path.write_bytes(pcd(POINTS, VIEWPOINT="0 0 1 1 0 0 zero"))
     refused("could not convert string", read_cloud, path)
+    path.write_bytes(pcd(POINTS, VIEWPOINT="0 0 0"))
+    refused("its VIEWPOINT has 3 numbers; it has seven", read_cloud, path)
 
 
 def test_a_file_that_is_not_a_cloud_is_refused(tmp_path):
