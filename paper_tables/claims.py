@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from itertools import pairwise, product
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -57,28 +58,31 @@ class Evidence:
     def runs(self) -> dict[str, dict[tuple[str, int], Rows]]:
         """Rows of each run by planner, and by problem and seed.
 
-        A run of a task has the rows of the phases that the paper times. A task in which a phase
-        between them failed, so that not all of them were tried, is left out.
+        A run of a task has the rows of the phases that the paper times; a task in which another
+        phase failed is left out. So are problems that could not be made.
         """
         suite = SUITES.get(self.rows[0].suite) if self.rows else None
         of_tasks = suite is not None and suite.of_tasks
         found: dict[str, dict[tuple[str, int], list[ResultRow]]] = {}
-        for row in self.rows:
-            if of_tasks and _untimed(row):
-                continue
+        for row in filter(attrgetter("made"), self.rows):
             problem = row.item if of_tasks else row.problem
             found.setdefault(row.planner, {}).setdefault((problem, row.seed), []).append(row)
-        count = len(PAPER_PHASES) if of_tasks else 1
+        if not of_tasks:
+            return found
         return {
-            planner: {key: rows for key, rows in runs.items() if len(rows) == count}
+            planner: {key: timed for key, rows in runs.items() if (timed := _timed_phases(rows))}
             for planner, runs in found.items()
         }
 
 
-def _untimed(row: ResultRow) -> bool:
-    """Return whether the paper does not time a phase, or a phase before it failed."""
-    untried = row.fail_reason is FailReason.NOT_REACHED
-    return untried or split_problem(row.problem).phase not in PAPER_PHASES
+def _timed_phases(task: Rows) -> Rows:
+    """Return the rows of the phases that the paper times; none if another phase failed."""
+    timed, others = [], []
+    for row in task:
+        (timed if split_problem(row.problem).phase in PAPER_PHASES else others).append(row)
+    failed = (row for row in others if not row.solved)
+    untimed_failure = any(row.fail_reason is not FailReason.NOT_REACHED for row in failed)
+    return [] if untimed_failure else timed
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -261,7 +265,10 @@ def _compared(
         cheap = effect("search_cost_pybullet")
         pybullet = cheap, rule.word_of(cheap, reached)
     if word is Word.OPEN and not claim.pooled and len(values) >= rule.FEWEST_PROBLEMS:
-        needed = max(len(values) + 1, rule.problems_needed(*_sides(values), level))
+        sides = _sides(values)
+        # an effect that excludes 1 can be too wide for a word
+        sizes = rule.problems_needed(*sides, level), rule.problems_for_width(*sides, level)
+        needed = max(len(values) + 1, *sizes)
     return replace(
         found,
         count=len(values),

@@ -183,7 +183,7 @@ def factorial_table(rows: Iterable[ResultRow], published: Sequence[PublishedValu
     for item in contrasts:
         pairs = str(item.measured["work"].n)
         compared_lines.append([item.planner, pairs, *map(item.cell, CONTRASTED)])
-    notes = [*FACTORIAL_NOTES, *table.seed_notes(runs)]
+    notes = [*FACTORIAL_NOTES, *table.run_notes(runs)]
     suite, size = runs.rows[0].suite, f"{len({row.problem for row in runs.rows})} problems"
     return SuiteTable(
         suite,

@@ -304,7 +304,7 @@ def _footnotes(runs: SuiteRuns) -> Iterator[str]:
         yield f"Left out of the jointly solved set, since nothing was solved: {', '.join(silent)}."
     if len({frozenset(row.problem for row in rows) for rows in runs.groups.values()}) > 1:
         yield "The planners did not all run the same problems, so their columns cannot be compared."
-    yield from table.seed_notes(runs)
+    yield from table.run_notes(runs)
     if len({row.seed for row in runs.rows if row.planner == REFERENCE}) == 1:
         yield (
             f"There is one seed of {REFERENCE}: a problem on which this run was unlucky counts as "
@@ -404,7 +404,7 @@ def group_table(
     lines = table.group_lines(found, [what])
     size, suite = f"{len(ordered)} problems, {len(groups)} {what}s", runs.rows[0].suite
     together = table.counted([item for item in found if item.group == ("all",)])
-    notes = [note.format(**COLUMN_NOTES) for note in notes]
+    notes = [*(note.format(**COLUMN_NOTES) for note in notes), *table.run_notes(runs)]
     papers = [[what, "planner", "what", "value", "note"]]
     for value in published:
         number = f"{value.value} {value.unit}"
@@ -465,7 +465,7 @@ def peer_table(
     sections: Sections = {
         size: table.column_lines(found, PEER_COLUMNS),
         "Failures": table.count_lines(found, table.failure),
-        "Notes": [*all_notes, *made, *table.seed_notes(runs)],
+        "Notes": [*all_notes, *made, *table.run_notes(runs)],
     }
     latex = partial(table.latex_planners, found=found, metrics={k: {"": k} for k in PEER_COLUMNS})
     return SuiteTable(suite, size, found, sections, latex)

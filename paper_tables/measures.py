@@ -7,7 +7,7 @@ once.
 
 import math
 from collections.abc import Callable, Collection, Hashable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from operator import attrgetter
 from statistics import fmean, median
@@ -325,6 +325,7 @@ class SuiteRuns:
     joint: Collection[ProblemKey]  # runs that all planners in `solving` solved
     # all, easy and hard runs by the work of REFERENCE; empty where that was not run
     split: Mapping[str, Collection[ProblemKey]]
+    unmade: Mapping[str, str] = field(default_factory=dict)  # problems left out -> reason
 
     def baseline(self, planner: str) -> Rows:
         """Rows of the baseline of ratios; empty if it was not run."""

@@ -205,7 +205,7 @@ def task_table(rows: Iterable[ResultRow], published: Sequence[PublishedValue]) -
         "Notes": [
             *TASK_NOTES,
             *([] if CBIRRT in runs.groups else [ABSENT]),
-            *table.seed_notes(runs),
+            *table.run_notes(runs),
             *table.published_notes(runs, published),
         ],
     }

@@ -158,7 +158,7 @@ def ompl_table(rows: Iterable[ResultRow], published: Sequence[PublishedValue] = 
             "Path lengths": table.column_lines(found, LENGTH_COLUMNS),
             "Counts and times": table.column_lines(found, COUNT_COLUMNS),
             **table.counted(found),
-            "Notes": [*NOTES, *table.seed_notes(runs)],
+            "Notes": [*NOTES, *table.run_notes(runs)],
             "Notes on the paper's numbers": table.published_notes(runs, published),
         },
         partial(

@@ -224,13 +224,29 @@ def pooled(effects: Sequence[Interval], level_of_each: float, level: float) -> I
 def problems_needed(own: Sequence[float], other: Sequence[float], level: float) -> int:
     """Return the number of problems whose ratio of means excludes 1, at the effect of these rows.
 
-    The standard error of log(mean(own) / mean(other)) is that of the mean of
-    (own - ratio other) / mean(own), the delta method.
-
     Args:
         own: values of the planner, one for each problem.
         other: values of the baseline.
         level: level of the interval, two-sided.
+    """
+    ratio, spread = _ratio_and_spread(own, other)
+    return sample_size(spread / abs(math.log(ratio)), level)
+
+
+def problems_for_width(own: Sequence[float], other: Sequence[float], level: float) -> int:
+    """Return the number of problems with which bounds differ from the estimate by WIDEST_FACTOR.
+
+    Args: see `problems_needed`.
+    """
+    _, spread = _ratio_and_spread(own, other)
+    return sample_size(spread / math.log(WIDEST_FACTOR), level, power=0.5)
+
+
+def _ratio_and_spread(own: Sequence[float], other: Sequence[float]) -> tuple[float, float]:
+    """Return the ratio of means, and the standard deviation of its logarithm for one problem.
+
+    The standard error of log(mean(own) / mean(other)) is that of the mean of
+    (own - ratio other) / mean(own), the delta method.
     """
     ours, theirs = np.array(own, dtype=float), np.array(other, dtype=float)
     ratio = float(ours.mean() / theirs.mean())
@@ -239,8 +255,7 @@ def problems_needed(own: Sequence[float], other: Sequence[float], level: float) 
             f"{len(ours)} problems with a ratio of means of {ratio:g}: give {FEWEST_PROBLEMS} or "
             "more whose ratio is not 1"
         )
-    spread = float(np.std((ours - ratio * theirs) / ours.mean(), ddof=1))
-    return sample_size(spread / abs(math.log(ratio)), level)
+    return ratio, float(np.std((ours - ratio * theirs) / ours.mean(), ddof=1))
 
 
 def shares_needed(own: Sequence[bool], other: Sequence[bool], level: float) -> int:

@@ -74,6 +74,11 @@ class Entry:
         """Problems or whole tasks, each with every random seed."""
         return _n_runs(self.rows)
 
+    @property
+    def n_problems(self) -> int:
+        """Problems, or phases of tasks."""
+        return len({row.problem for row in self.rows})
+
     def cell(self, column: str) -> str:
         """Our number as its column shows it."""
         return self.columns[column].cell(self.measured[column])
@@ -158,13 +163,18 @@ def by_planner(rows: Rows, published: Iterable[PublishedValue]) -> dict[str, lis
 
 
 def suite_runs(rows: Iterable[ResultRow], published: Iterable[PublishedValue] = ()) -> SuiteRuns:
-    """Return grouped rows; InvalidInputError unless they are of exactly one suite."""
+    """Return grouped rows; InvalidInputError unless they are of exactly one suite.
+
+    Problems that could not be made are left out.
+    """
     ordered = rows_of_one_suite(rows)
+    unmade = {row.problem: row.detail or "" for row in ordered if not row.made}
+    ordered = [row for row in ordered if row.made] or ordered
     groups = by_planner(ordered, published)
     solving = sorted(name for name, own in groups.items() if any(row.solved for row in own))
     joint = frozenset(jointly_solved({name: groups[name] for name in solving}))
     reference: Rows = next((own for own in groups.values() if own[0].planner == REFERENCE), [])
-    return SuiteRuns(ordered, groups, solving, joint, split_by_work(reference))
+    return SuiteRuns(ordered, groups, solving, joint, split_by_work(reference), unmade)
 
 
 def entry(
@@ -218,8 +228,13 @@ def published_notes(runs: SuiteRuns, published: Iterable[PublishedValue]) -> lis
     return [f"{metric} ({', '.join(names)}): {note}" for (metric, note), names in owners.items()]
 
 
-def seed_notes(runs: SuiteRuns) -> Iterable[str]:
-    """Yield notes on planners with several seeds, and on planners with fewer seeds."""
+def run_notes(runs: SuiteRuns) -> Iterable[str]:
+    """Yield notes on problems left out, on several seeds, and on planners with fewer seeds."""
+    if runs.unmade:
+        name, why = next(iter(runs.unmade.items()))
+        yield (
+            f"Left out: {len(runs.unmade)} problems that could not be made, such as {name} ({why})."
+        )
     seeds = {name: len({row.seed for row in rows}) for name, rows in runs.groups.items()}
     most = max(seeds.values())
     if most > 1:
@@ -240,7 +255,8 @@ def cells_of(
 ) -> list[str]:
     """Return the cells of a column, with the best value bold if less than half have it.
 
-    A ratio to a planner is the best one only if it is better than that planner, below 1.
+    A planner that did not run all problems cannot be the best one. A ratio to a planner is the
+    best one only if it is better than that planner, below 1.
 
     Args:
         found: entries of planners that are compared.
@@ -249,13 +265,20 @@ def cells_of(
     """
     column = found[0].columns[name]
     cells = [(cell or column.cell)(item.measured[name]) for item in found]
-    numbers = [item.measured[name].estimate for item in found]
+    sizes = [item.n_problems for item in found]
+    numbers = [
+        item.measured[name].estimate if size == max(sizes) else None
+        for item, size in zip(found, sizes, strict=True)
+    ]
     known = [x for x in numbers if x is not None and math.isfinite(x)]
     if not known or column.best == "none":
         return cells
     best = min(known) if column.best == "least" else max(known)
     values = [text.partition(" ")[0] for text in cells]
-    winners = [value == values[numbers.index(best)] for value in values]
+    shown = values[numbers.index(best)]
+    winners = [
+        value == shown and own is not None for value, own in zip(values, numbers, strict=True)
+    ]
     if 2 * sum(winners) > len(known) or (isinstance(column.label, Ratio) and best >= 1.0):
         return cells
     return [bold(text) if won else text for text, won in zip(cells, winners, strict=True)]
@@ -283,8 +306,7 @@ def group_lines(found: Sequence[Entry], head: Sequence[str], count: str = "probl
         same = list(members)
         columns = zip(*(cells_of(same, name) for name in same[0].columns), strict=True)
         for item, cells in zip(same, columns, strict=True):
-            problems = str(len({row.problem for row in item.rows}))
-            lines.append([*group, item.planner, problems, *cells])
+            lines.append([*group, item.planner, str(item.n_problems), *cells])
     return lines
 
 

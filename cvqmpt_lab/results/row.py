@@ -213,6 +213,11 @@ class ResultRow:
         return self.suite, self.item, self.planner, self.seed, self.backend
 
     @property
+    def made(self) -> bool:
+        """Whether there was a problem to plan; no planner had a part in it if there was none."""
+        return self.fail_reason is not FailReason.NO_START
+
+    @property
     def item(self) -> str:
         """Name of the run's problem or task."""
         return self.problem.partition("/")[0]

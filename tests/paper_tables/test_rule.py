@@ -9,10 +9,12 @@ from refusals import refused
 
 from cvqmpt_lab.paper_tables.measures import search_cost
 from cvqmpt_lab.paper_tables.rule import (
+    WIDEST_FACTOR,
     Effect,
     Word,
     claim_word,
     pooled,
+    problems_for_width,
     problems_needed,
     ratio_of_means,
     sample_size,
@@ -145,6 +147,18 @@ def test_the_number_of_problems_is_that_of_a_test_of_the_mean():
     assert 0.65 < np.mean(excluded) < 0.95
     refused("give 30 or more whose ratio is not 1", problems_needed, [0.1], [0.2], 0.05)
     refused("give as many values of both, all above 0", Effect.of, [1.0], [0.0], 0.05)
+
+
+def test_bounds_are_as_near_as_a_replicated_effect_needs():
+    def study(count, seed):  # a tenth of the runs fails
+        rng = np.random.default_rng(seed)
+        return np.where(rng.random(count) < 0.1, 100.0, 5.0), np.full(count, 30.0)
+
+    enough = problems_for_width(*study(20_000, 0), LEVEL)
+    assert enough > problems_needed(*study(20_000, 0), LEVEL) > 30
+    bounds = [ratio_of_means(*study(enough, seed), LEVEL) for seed in range(40)]
+    factor = np.median([math.sqrt(found.high / found.low) for found in bounds])
+    assert factor == pytest.approx(WIDEST_FACTOR, rel=0.1)
 
 
 def test_the_page_of_the_rule_quotes_the_power_of_the_tuning_rows():
