@@ -34,12 +34,14 @@ def main() -> None:
             names = runpy.run_path(str(program))
             os.chdir(home)
         text = program.read_text(encoding="utf-8")
-        title = text.partition('"""')[2].partition('"""')[0].rstrip(".")
-        code = text.partition('"""')[2].partition('"""')[2].strip()
+        docstring, _, code = text.partition('"""')[2].partition('"""')
+        title, _, details = docstring.partition("\n")
+        title, details, code = title.rstrip("."), details.strip(), code.strip()
         picture = DOCS / "gallery" / f"{program.stem}.png"
         shown = next((names[name] for name in DRAWN if name in names), None)
         printed = said.getvalue().strip()
-        parts.append(f"## {title}\n\n```python\n{code}\n```\n\n```text\n{printed}\n```\n")
+        parts += [f"## {title}\n", *([f"{details}\n"] if details else [])]
+        parts.append(f"```python\n{code}\n```\n\n```text\n{printed}\n```\n")
         if shown is not None:
             several = names.get("solutions", (shown,))
             columns = min(3, len(several))
