@@ -245,7 +245,7 @@ OPTIONS: Options = {
     ),
     **PROBLEM,
     "--task-file": option(
-        "the task of a folder of motions that plan --trajectory wrote", type=Path, metavar="T.json"
+        "task whose motions plan --trajectory wrote to PATH", type=Path, metavar="T.json"
     ),
     "another robot for --problem-file": ROBOT,
     "--request": option(
@@ -259,7 +259,8 @@ OPTIONS: Options = {
         metavar="S.json|yaml|scene",
     ),
     "--topic": option(
-        "topic of a recording, an .mcap file or a folder of rosbag2 (the only one with motions)",
+        "topic of a recording (.mcap file or rosbag2 folder); default: the only topic that has "
+        "motions",
         metavar="NAME",
     ),
     "--problems-dir": option(
@@ -282,7 +283,7 @@ OPTIONS: Options = {
         metavar="Q",
     ),
     "--tolerance": option(
-        "largest distance between that and the first state (0.01)",
+        "largest distance between --current and the first state; default 0.01",
         type=positive,
         default=0.01,
         metavar="RAD",

@@ -46,7 +46,8 @@ COMMANDS = {  # by name: NAME of the module cvqmpt_lab.cli.NAME_command, and a s
     "model": ("model", "show weights, convert published ones"),
     "bench": (
         "setup",
-        "measure the stages of planning, also by size, and a check of the paper's simulator",
+        "measure the time of each planning stage, how it grows with scene and robot size, and the "
+        "time of one state check in the paper's simulator",
     ),
     "warmup": ("setup", "compile all kernels ahead of time"),
     "doctor": ("setup", "list what is installed, what is missing and how to install it"),

@@ -66,7 +66,8 @@ SEED: Options = {
 
 REACH: Options = {
     "--reach": option(
-        "longest extension of a tree towards a sample [rad], inf: no limit (that of the planner)",
+        "longest extension of a tree towards a sample [rad], inf: no limit (default: that of the "
+        "planner)",
         type=_number(float, lambda x: x > 0, "a positive number or inf", math.inf),
         metavar="RAD",
     )

@@ -96,8 +96,8 @@ OPTIONS: Options = {
         metavar="OUT.csv|OUT.json|DIR",
     ),
     "--rate": option(
-        "write this many states of --trajectory a second, or a few more, evenly in time, and "
-        "certify the motion between them (as few as the motion needs)",
+        "write at least HZ states per second to --trajectory, equally spaced in time, and certify "
+        "that motion (default: only the states that the motion needs)",
         type=rate,
         metavar="HZ",
     ),
@@ -105,14 +105,15 @@ OPTIONS: Options = {
         "fraction of the joint limits that --trajectory uses (0.1)", type=float, metavar="FACTOR"
     ),
     "--duration": option(
-        "duration of the motion of --trajectory, at least that of the fastest one within --speed "
-        "(that one's)",
+        "duration of the motion of --trajectory, at least that of the fastest motion within "
+        "--speed (default: that of the fastest motion)",
         type=positive,
         metavar="S",
     ),
     **velocity_options(
         "the motion of --trajectory",
-        "; with either, the path goes straight on there as far as the arm needs to stop",
+        effect=". With a velocity at the start or the end, the path is straight at that end, for "
+        "the distance that the arm needs to stop",
     ),
 }
 

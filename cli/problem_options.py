@@ -79,8 +79,8 @@ ROBOT_DETAILS: Options = {  # for robots given by name or by file
         metavar="X,Y,Z[,ROLL,PITCH,YAW]",
     ),
     "--tool": option(
-        "pose of a tool in the frame of the end effector, whose place it takes for constraint and "
-        "goals: position [m], roll, pitch and yaw [rad]",
+        "pose of a tool in the end-effector frame; constraint and goals then refer to the tool "
+        "instead of the end effector: position [m], roll, pitch and yaw [rad]",
         type=partial(_placement, "--tool"),
         metavar="X,Y,Z[,ROLL,PITCH,YAW]",
     ),
@@ -108,7 +108,7 @@ ROBOT_DETAILS: Options = {  # for robots given by name or by file
     ),
     "--acceleration": option(
         "acceleration limits, one per joint or one for all [rad/s^2 or m/s^2]; required by "
-        "--trajectory",
+        "--trajectory if neither robot nor file has acceleration limits",
         type=partial(_limits, "--acceleration"),
         metavar="A[,A...]",
     ),
@@ -201,14 +201,17 @@ def bodies_option() -> Options:
     return {"--bodies": option(f"{text} (visual)", choices=("visual", "hulls"))}
 
 
-def velocity_options(of_motion: str, of_end: str = "") -> Options:
+def velocity_options(of_motion: str, of_end: str = "", effect: str = "") -> Options:
     """Return the options of velocities at the ends of a motion.
 
-    of_motion: which motion, in words; of_end: what else is said of its end.
+    Args:
+        of_motion: which motion, in words.
+        of_end: what else is a default of the velocity at the end, after "; ".
+        effect: what the velocities change, as sentences after ". ".
     """
     start = partial(numbers, "--start-velocity")
-    text = f"velocity of the joints where {of_motion} begins, in quotes (at rest) [rad/s or m/s]"
-    end = f"the same where it ends (at rest{of_end})"
+    text = f"joint velocity at the start of {of_motion}, in quotes (0) [rad/s or m/s]"
+    end = f"joint velocity at the end of {of_motion}, in quotes (0{of_end}) [rad/s or m/s]{effect}"
     return {
         "--start-velocity": option(text, type=start, metavar="V"),
         "--end-velocity": option(end, type=partial(numbers, "--end-velocity"), metavar="V"),
@@ -235,13 +238,14 @@ SCAN: Options = {
         ),
         "--extrinsics": option(
             "camera pose in the robot's base frame, x right, y down, z forward: 4x4, xyz + "
-            "quaternion or rpy, or ROS's translation + rotation (the base frame)",
+            "quaternion or rpy, or ROS's translation + rotation (default: the base frame itself)",
             type=Path,
             metavar="F.json|yaml",
             **REPEATED,
         ),
         "--scale": option(
-            "metres per unit (1; 0.001 for a 16-bit image), also of extrinsics beyond 100 m",
+            "metres per unit (default: 1, or 0.001 for a 16-bit image), also of extrinsics more "
+            "than 100 m away",
             type=positive,
             metavar="M",
         ),
@@ -249,8 +253,8 @@ SCAN: Options = {
             "find the table and level it, instead of --extrinsics", choices=("table",)
         ),
         "--down": option(
-            "downward pitch of the camera of --level, known to 30 deg (40): 0 is "
-            "horizontal, 90 straight down",
+            "downward pitch of the camera of --level, accurate to 30 deg: 0 is horizontal, 90 "
+            "straight down (default: 40)",
             type=not_negative,
             metavar="DEG",
         ),

@@ -311,7 +311,8 @@ IK: Options = {
         "--region": option("region as json, or goal_region or start_region of the file"),
     },
     "--count": option(
-        "largest number of postures, which differ by more than whole turns (1)",
+        "largest number of configurations; two that differ only by full turns of joints count as "
+        "one (1)",
         type=positive_int,
         default=1,
         metavar="N",

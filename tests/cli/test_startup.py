@@ -109,12 +109,13 @@ def test_help_of_plan_has_the_names_and_defaults_of_the_library():
         words = options[option].help.replace(",", " ").split()
         assert {*names} <= {*words}, option
     scan, margin = ScanSettings(), Margin()
-    defaults = {"map": MAP_RESOLUTION_M, "margin": margin.metres, "margin_angle": margin.radians}
+    defaults = {"margin": margin.metres, "margin_angle": margin.radians}
     for name in ("voxel", "robot_margin", "neighbours"):
         defaults[name] = getattr(scan, name)
     for option, value in defaults.items():
         assert options[option].default == value and f"({value}" in options[option].help
-    assert f"({scan.down:g})" in options["down"].help
+    assert f"(default: {scan.down:g})" in options["down"].help
+    assert f"({MAP_RESOLUTION_M:g})" in options["map"].help  # without a default beside --radius
 
 
 def test_all_planners_reproduce_and_render_without_torch(without_torch, tmp_path):
