@@ -13,7 +13,12 @@ from cvqmpt_lab.search.result import JointPath
 from cvqmpt_lab.trajectory.trajectory import Motion, Trajectory
 
 
-@pytest.mark.promise("things in two hands do not overlap by 0.1 mm", "cases", ci=10, long=2000)
+@pytest.mark.promise(
+    "on certified motions, objects in two hands overlap by at most 0.1 mm",
+    "cases",
+    ci=10,
+    long=2000,
+)
 def test_things_in_two_hands(trials, tmp_path):
     """Boxes of any size in both hands, or at two frames of one arm, on short motions."""
     certified, deep = 0, {}
@@ -38,7 +43,13 @@ def test_things_in_two_hands(trials, tmp_path):
     assert deep == {} and certified >= 0.3 * trials
 
 
-@pytest.mark.promise("bounds of one sign hold beside a half turn", "cases", ci=10, long=2000)
+@pytest.mark.promise(
+    "certified motions near a rotation of π keep rotation bounds that contain only positive or "
+    "only negative values",
+    "cases",
+    ci=10,
+    long=2000,
+)
 def test_half_turns(trials, tmp_path):
     """Quaternions that keep their own sign say where a rotation vector changes its sign."""
     certified, left = 0, {}

@@ -84,7 +84,7 @@ def slopes_agree(manifold, q, direction):
     assert 2 * smooth.sum() >= len(smooth) and np.isfinite(jacobian).all()
 
 
-@pytest.mark.promise("the Jacobian is the slope of the residual", "cases")
+@pytest.mark.promise("the Jacobian is the derivative of the residual", "cases")
 @given(robot=arms, region=regions, seed=seeds)
 def test_jacobian(robot, region, seed):
     rng = np.random.default_rng(seed)
@@ -92,7 +92,11 @@ def test_jacobian(robot, region, seed):
     slopes_agree(RegionConstraint(robot, (region,)), q, direction)
 
 
-@pytest.mark.promise("the same near half a turn, and in chains", "cases")
+@pytest.mark.promise(
+    "the Jacobian is the derivative of the residual also near rotations of π and for regions "
+    "relative to a moving link",
+    "cases",
+)
 @given(robot=arms, short=shorts, in_chain=st.booleans(), seed=seeds)
 def test_jacobian_near_half_a_turn(robot, short, in_chain, seed):
     """`short` [rad] of a rotation by pi between frame and hand; frame of the world or of link 1."""
@@ -125,7 +129,7 @@ def test_decoder(z):
     assert (np.linalg.eigvalsh(gaussians.covariance)[:, 0] > 0.0).all()
 
 
-@pytest.mark.promise("mixtures draw what they say", "cases")
+@pytest.mark.promise("samples of mixtures have the stated weights, means and covariances", "cases")
 @given(seed=seeds, k=st.integers(1, 3), n=st.integers(1, 3), share=st.sampled_from([0.0, 0.2, 1.0]))
 def test_mixture(seed, k, n, share):
     """Draws follow the mixture: weight, mean and spread of each Gaussian, and the uniform part."""

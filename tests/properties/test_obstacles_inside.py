@@ -59,9 +59,12 @@ def point_inside(robot, q, rng):
 
 
 @pytest.mark.promise(
-    "an obstacle that a link or the can it carries is in is seen, of any size, its frame anywhere",
-    "obstacles", ci=20, long=5000,
-)  # fmt: skip
+    "a collision is found if an obstacle of any size, with its frame anywhere, overlaps a link or "
+    "the carried can",
+    "obstacles",
+    ci=20,
+    long=5000,
+)
 def test_obstacles_on_a_path(trials):
     for problem, count, seed in tuning_problems(trials, 500):
         states, rng = simplified(problem), np.random.default_rng(seed)
