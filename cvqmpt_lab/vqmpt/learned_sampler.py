@@ -311,12 +311,13 @@ def learned(
         predict = partial(network_codes, predictor, choice.sequences == "all-beams", nodes)
         if choice.predictor == "transformer-lines":
             predict = partial(lines_to_predicted_goals, predict)
+        observed = observer()
         clouds: dict[str, Callable[[Scene], np.ndarray]] = {
-            "own-cloud": observer(),
+            "own-cloud": observed,
             "no-cloud": lambda scene: np.empty((0, 3)),
         }
         if other_scene is not None:
-            clouds["other-cloud"] = lambda scene: observer(4096)(other_scene)
+            clouds["other-cloud"] = lambda scene: observed(other_scene)
         observe = clouds.get(choice.cloud)
         if observe is None:
             raise InvalidInputError(

@@ -79,6 +79,15 @@ def test_names_are_read_as_choices():
         assert SamplerChoice.of(words) == planner_named(f"cvq:{words}").sampler == choice
 
 
+def test_the_cloud_of_another_scene_has_as_many_points(problem):
+    """It had four times as many, so that a comparison of clouds compared their sizes, too."""
+    own, other = (
+        planner_named(f"cvq:transformer+{cloud}").stages(problem).observe(problem.scene)
+        for cloud in ("own-cloud", "other-cloud")
+    )
+    assert own.shape == other.shape and not np.array_equal(own, other)
+
+
 @pytest.mark.parametrize("predictor", ["transformer", "random", "oracle"])
 def test_the_distribution_is_the_mixture_of_codes_and_goals(problem, proposed, predictor):
     """Weights are equal; Gaussians are those of the decoder, and 0.1 joint ranges around goals."""
