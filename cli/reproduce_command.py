@@ -75,6 +75,7 @@ def run(args: argparse.Namespace) -> None:
     if args.suite == ALL:
         _reproduce_all(args)
         return
+    refuse_given(args, ["profile"], f"belongs to {ALL}; name the amounts, such as --problems")
     if (args.suite is None) == (args.problems_dir is None):
         raise InvalidInputError(
             f"name a suite ({', '.join(SUITES)}) or give --problems-dir, one of the two"
@@ -171,16 +172,17 @@ def _reproduce_all(args: argparse.Namespace) -> None:
         "does not go with 'all', whose amounts are fixed; --profile small runs less, or name one "
         "suite",
     )
-    parts, out = parts_of(args.profile), args.out or Path("runs/all")
+    profile, out = args.profile or PROFILES[0], args.out or Path("runs/all")
+    parts = parts_of(profile)
     jobs = args.jobs or default_jobs()
     compile_kernels(compiling())
     overall = OverallProgress(part.experiment for part in parts)
     for name, experiment, command in parts:
         folder = out / name
-        command += ["--profile", args.profile, "--jobs", str(jobs), "--out", str(folder)]
+        command += ["--jobs", str(jobs), "--out", str(folder)]
         bar = overall.bar(name, experiment, duration_line(experiment, jobs))
         with executor_for(experiment, jobs) as executor:
-            run_experiment(experiment, folder, executor, command, bar)
+            run_experiment(experiment, folder, executor, command, bar, profile)
         render_directory(folder)
     figure, count = "histogram", 30
     folder = out / figure
@@ -204,9 +206,8 @@ OPTIONS: Options = {
         metavar="DIR",
     ),
     "--profile": option(
-        f"with {ALL}: {', '.join(PROFILES)}; three hours, 6 minutes for Tables I and II "
-        "with the paper's planners, or 1 to 3 minutes, on two cores (full)",
-        default="full",
+        f"amounts of {ALL}, on two cores: full (three hours), paper (Tables I and II with the "
+        "paper's planners, 6 minutes) or small (1 to 3 minutes) (full)",
     ),
     "--problems": option(
         "only the first N problems or tasks (all)", type=positive_int, metavar="N"

@@ -265,6 +265,7 @@ def run_experiment(
     executor: Executor,
     command: Sequence[str],
     on_progress: Callable[[int, int, str], None],
+    profile: str | None = None,
 ) -> list[ResultRow]:
     """Run the missing runs of an experiment and return all rows, sorted.
 
@@ -276,6 +277,7 @@ def run_experiment(
         executor: executor of the runs.
         command: words of the command line, for the provenance.
         on_progress: called with runs done, all runs, and a note on the last run.
+        profile: of `cvqmpt reproduce all`, for the provenance.
     """
     session = provenance(
         command,
@@ -285,6 +287,8 @@ def run_experiment(
         experiment.digests,
         externals_of(experiment.planners),
     )
+    if profile is not None:
+        session["profile"] = profile
     with RunStore.open(out, experiment.settings(), session) as store:
         runs, done = experiment.runs, store.done()
         left = [run for run in runs if run.key not in done]

@@ -4,7 +4,7 @@ import csv
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
-from itertools import pairwise, product
+from itertools import product
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
@@ -393,9 +393,8 @@ def updated_codes(folder: Path) -> list[Pair]:
 def profiles(found: Mapping[str, Evidence]) -> list[str]:
     """Return the profiles of rows that are too small for verdicts: all except "full"."""
     records = [session for item in found.values() for session in sessions(item.record)]
-    words = [pair for session in records for pair in pairwise(session.get("command") or [])]
-    named = dict.fromkeys(after for word, after in words if word == "--profile")
-    return [name for name in named if name != "full"]
+    named = dict.fromkeys(session.get("profile") for session in records)
+    return [name for name in named if name and name != "full"]
 
 
 def banner(found: Mapping[str, Evidence]) -> str:
@@ -405,7 +404,7 @@ def banner(found: Mapping[str, Evidence]) -> str:
         return ""
     return (
         f"These rows were made with --profile {', '.join(small)}, which is a quick trial: few "
-        "problems, short budgets, wide intervals. Verdicts on the paper need --profile full."
+        "problems and wide intervals. Verdicts on the paper need --profile full."
     )
 
 

@@ -28,7 +28,7 @@ from cvqmpt_lab.paper_tables.statements import CBIRRT, IN_OMPL, UNIFORM, Publish
 from cvqmpt_lab.paper_tables.table_engine import Column, SuiteTable
 from cvqmpt_lab.paper_tables.writers import Ratio
 from cvqmpt_lab.results.row import ResultRow
-from cvqmpt_lab.results.statistics import CONFIDENCE, UNDEFINED, Interval
+from cvqmpt_lab.results.statistics import CONFIDENCE, UNDEFINED, Interval, jointly_solved
 
 PAPER_CUTOFF_S = 100.0
 
@@ -120,7 +120,8 @@ NOTES = (
     "at most; a failed run counts as 100 s. Networks cost nothing there; their seconds on this "
     "machine have a column. Means over problems; ratios of means with BCa intervals (bootstrap) "
     "from 30 problems on.",
-    "Lengths: means over problems that all planners solved; ratios over those that both solved. "
+    "Lengths: means over problems that all planners with lengths solved (`ompl-mpnet` has none); "
+    "ratios over those that both solved, which are more. "
     "OMPL's simplification, as in the published code, removes states and makes no shortcuts.",
     "Vertices: as OMPL's PlannerData counts them, roots included, over all goals tried.",
     "Solved: certified paths; the published code checks no path after the search.",
@@ -133,7 +134,7 @@ def ompl_table(rows: Iterable[ResultRow], published: Sequence[PublishedValue] = 
         replace(value, planner=IN_OMPL.get(value.planner, value.planner)) for value in published
     ]
     columns = {**COST_COLUMNS, **PYBULLET_COLUMNS, **LENGTH_COLUMNS, **COUNT_COLUMNS}
-    runs = table.suite_runs(rows, published)
+    runs = _joint_lengths(table.suite_runs(rows, published))
     found = table.entries(runs, columns, published)
     suite, size = runs.rows[0].suite, f"{len({row.problem for row in runs.rows})} problems"
     metrics = {
@@ -142,8 +143,10 @@ def ompl_table(rows: Iterable[ResultRow], published: Sequence[PublishedValue] = 
         "vertices": "stored_vertices_mean",
         "path_length": "ompl_length_mean",
     }
-    heads = (f"{name}, {who}" for name in metrics for who in ("paper", "here"))
-    paper = [["planner", *(head.replace("_", " ") for head in heads)]]
+    joint = f"{len(runs.joint)} problems that all planners with lengths solved"
+    heads = [f"{name}, {who}".replace("_", " ") for name in metrics for who in ("paper", "here")]
+    heads[-1] = f"{heads[-1]}, on {len(runs.joint)} problems"
+    paper = [["planner", *heads]]
     for item in found:
         cells = [[item.paper_cell(name), item.cell(column)] for name, column in metrics.items()]
         paper.append([item.title, *(cell for pair in cells for cell in pair)])
@@ -155,7 +158,7 @@ def ompl_table(rows: Iterable[ResultRow], published: Sequence[PublishedValue] = 
             f"{size}, at the prices of the published code": table.column_lines(found, COST_COLUMNS),
             "The paper's Table I, and here": paper,
             "At the prices of PyBullet's kinematics": table.column_lines(found, PYBULLET_COLUMNS),
-            "Path lengths": table.column_lines(found, LENGTH_COLUMNS),
+            f"Path lengths, means over {joint}": table.column_lines(found, LENGTH_COLUMNS),
             "Counts and times": table.column_lines(found, COUNT_COLUMNS),
             **table.counted(found),
             "Notes": [*NOTES, *table.run_notes(runs)],
@@ -167,6 +170,17 @@ def ompl_table(rows: Iterable[ResultRow], published: Sequence[PublishedValue] = 
             metrics={k: {"here": v} for k, v in metrics.items()},
         ),
     )
+
+
+def _joint_lengths(runs: SuiteRuns) -> SuiteRuns:
+    """Return runs whose joint problems are those that all planners with lengths solved."""
+    lengths = VALUES["ompl_length"]
+    groups = {
+        name: rows
+        for name, rows in runs.groups.items()
+        if any(lengths(row) is not None for row in rows)
+    }
+    return replace(runs, solving=sorted(groups), joint=frozenset(jointly_solved(groups)))
 
 
 def kinds_table(rows: Iterable[ResultRow], published: Sequence[PublishedValue] = ()) -> SuiteTable:

@@ -187,9 +187,10 @@ def advice(lines: Mapping[str, Interval]) -> bytes:
 
 @matplotlib.rc_context(STYLE)
 def cost_curves(groups: Groups) -> bytes:
-    """Time over that of `birrt` against the cost of a state check, as png.
+    """Time over that of `birrt` against the additional cost of a state check, as png.
 
-    All work is priced in proportion: at the right end as the published code pays it.
+    Projections and Newton steps cost more in proportion; at the right end the published code's
+    prices are added. Clearances cost nothing more: the paper's planners read none.
     """
     figure, axes = _axes(4.2)
     prices = np.geomspace(1e-6, PUBLISHED_PRICES.state_check, 15)
@@ -207,7 +208,11 @@ def cost_curves(groups: Groups) -> bytes:
             )
     axes.axhline(1.0, color="black", linewidth=0.8)
     axes.set_yscale("log")
-    _finish(axes, "cost of a state check [µs], other work in proportion", f"time / {REFERENCE}")
+    _finish(
+        axes,
+        "additional cost of a state check [µs], projections in proportion",
+        f"time / {REFERENCE}",
+    )
     return figure_bytes(figure, "png", 140)
 
 

@@ -225,7 +225,7 @@ def _more_constraints() -> list[Suite]:
         "It is not known whether each problem has a solution: only without obstacles a short "
         "search reaches a goal."
     )
-    suite = partial(Suite, problems=range(120), amounts=(Amount(cutoff=5.0),))
+    suite = partial(Suite, problems=range(120), amounts=(Amount(),))
     table = partial(table_maker, "layouts:group_table", what="constraint")
     return [
         suite(
