@@ -118,6 +118,14 @@ class Motion:
     # (n,) by kind: limits that the file says it was timed with, inf where there is none
     limits: Mapping[str, np.ndarray] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        # the curves through positions alone would ignore them
+        if self.accelerations is not None and self.velocities is None:
+            raise InvalidInputError(
+                "the motion has accelerations, but no velocities: give both, or leave the "
+                "accelerations out"
+            )
+
     def of_joints(self, names: tuple[str, ...]) -> Motion:
         """Reorder the joints as in `names`; InvalidInputError if the joints are others."""
         if self.joint_names is None or self.joint_names == names:

@@ -86,3 +86,23 @@ def test_arrays_without_states_are_one_line(tmp_path):
     refused("it has no array 'q' of states", read_motion, tmp_path / "m.npz")
     np.savez(tmp_path / "m.npz", q=STATES, v=STATES)
     refused("no times 't'", read_motion, tmp_path / "m.npz")
+
+
+@pytest.mark.parametrize("name", ["m.json", "m.npz", "m.csv"])
+def test_accelerations_without_velocities_are_one_line(tmp_path, name):
+    """No curve is made of positions and accelerations alone, which were ignored."""
+    times = [0.0, 1.5, 2.0]
+    if name == "m.json":
+        pushed = message(STATES, times)
+        for point in pushed["points"]:
+            point["accelerations"] = [1e6, 1e6]
+        (tmp_path / name).write_text(json.dumps(pushed))
+    elif name == "m.npz":
+        np.savez(tmp_path / name, t=times, q=STATES, a=STATES)
+    else:
+        kinds = ("position", "acceleration")
+        head = ["time", *(f"{joint}_{kind}" for kind in kinds for joint in NAMES)]
+        rows = [head, *([t, *q, *q] for t, q in zip(times, STATES, strict=True))]
+        (tmp_path / name).write_text("\n".join(",".join(map(str, row)) for row in rows))
+    told = refused("accelerations, but no velocities: give both", read_motion, tmp_path / name)
+    assert name in told
