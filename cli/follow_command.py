@@ -92,8 +92,8 @@ OPTIONS: Options = {
     ),
     "--tolerance": option(
         "largest distance from the lines, and largest angle from the orientation interpolated "
-        "along them (0.002,0.01)",
-        type=partial(one_or_two, "--tolerance", "M or M,RAD, above 0"),
+        "along them, each above 0.0005 (0.002,0.01)",
+        type=partial(one_or_two, "--tolerance", "M or M,RAD, above 0.0005"),
         default=[0.002],
         metavar="M[,RAD]",
     ),

@@ -48,16 +48,31 @@ class AlongLine(Constraint):
 
     With p and R the pose of the frame and T(s) the place of the line nearest to p,
 
-        F = (max(0, |p - p(s)| - metres), max(0, angle of R(s)^T R - radians)).
+        F = (max(0, |p - p(s)| - metres + allowed), max(0, angle of R(s)^T R - radians + allowed)).
 
     On a line that only turns, s is the place whose orientation is nearest.
+
+    Args:
+        robot: the robot.
+        line: the line.
+        metres: largest distance from it [m].
+        radians: largest angle from its orientation [rad].
+        frame: a frame of the robot; None: its end effector.
+        allowed: violation that a certificate allows: where F is at most this, the frame is within
+            both distances [m, rad].
     """
 
     def __init__(
-        self, robot: Robot, line: Line, metres: float, radians: float, frame: str | None = None
+        self,
+        robot: Robot,
+        line: Line,
+        metres: float,
+        radians: float,
+        frame: str | None = None,
+        allowed: float = 0.0,
     ) -> None:
         self._robot, self._line, self._frame = robot, line, frame
-        self._metres, self._radians = metres, radians
+        self._metres, self._radians, self._allowed = metres, radians, allowed
 
     @property
     def dim(self) -> int:
@@ -66,7 +81,8 @@ class AlongLine(Constraint):
 
     def residual(self, q: np.ndarray) -> np.ndarray:
         """Return F(q) (2,) or (b, 2) [m, rad]."""
-        F = (self._away(np.atleast_2d(q)) - (self._metres, self._radians)).clip(min=0.0)
+        kept = np.array([self._metres, self._radians]) - self._allowed
+        F = (self._away(np.atleast_2d(q)) - kept).clip(min=0.0)
         return F if np.ndim(q) == 2 else F[0]
 
     def jacobian(self, q: np.ndarray) -> np.ndarray:

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cvqmpt_lab.base.errors import InvalidInputError
-from cvqmpt_lab.certificate.certificate import Certificate, certify
+from cvqmpt_lab.certificate.certificate import CERTIFICATE_TOLERANCE, Certificate, certify
 from cvqmpt_lab.certificate.motion_check import certified_motion
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.along_line import AlongLine, Line
@@ -52,8 +52,9 @@ def follow_lines(
         robot: the robot.
         scene: obstacles.
         poses: two or more poses (4, 4) of the end effector in the world.
-        metres: largest distance from the lines [m].
-        radians: largest angle from the orientation interpolated along the line [rad].
+        metres: largest distance from the lines, above CERTIFICATE_TOLERANCE [m].
+        radians: largest angle from the orientation interpolated along the line, above
+            CERTIFICATE_TOLERANCE [rad].
         start: (n,) at the first pose [rad or m]; None: any posture.
         seed: of random states.
 
@@ -61,12 +62,21 @@ def follow_lines(
     """
     if len(poses) < 2:
         raise InvalidInputError(f"{len(poses)} pose is no line: give two or more")
+    # what the certificate allows beyond a constraint is taken off its tolerances, see `AlongLine`
+    spare_m, spare_rad = metres - CERTIFICATE_TOLERANCE, radians - CERTIFICATE_TOLERANCE
+    if not min(spare_m, spare_rad) > 0.0:
+        raise InvalidInputError(
+            f"tolerances of {metres:g} m and {radians:g} rad: lines are certified to "
+            f"{CERTIFICATE_TOLERANCE:g} m and rad; give more than that for both"
+        )
     lines = [Line(begin, end) for begin, end in pairwise(poses)]
     for k, line in enumerate(lines):
         if line.length < 1e-6 and np.linalg.norm(line.turn) < 1e-6:
             raise InvalidInputError(f"pose {k + 1} repeats pose {k}: leave one of the two out")
-    # a straight joint motion strays from the line by about lever D^2 / 8
-    step = min(0.05, float(np.sqrt(2.0 * metres / max(robot.reach, 0.1))))
+    # a straight joint motion strays from the line by about lever D^2 / 8, and turns the hand off
+    # its orientation by about D^2 / 8
+    stray = min(spare_m / max(robot.reach, 0.1), spare_rad)
+    step = min(0.05, float(np.sqrt(2.0 * stray)))
     for last in (False, False, True):
         try:
             legs = list(_legs(robot, scene, lines, (metres, radians), start, seed, step))
@@ -114,7 +124,7 @@ def _legs(
     states, ends = _postures(robot, checker, lines, start, seed, step)
     for line, (begin, end) in zip(lines, pairwise(ends), strict=True):
         path = JointPath(states[begin : end + 1])
-        near = AlongLine(robot, line, *tolerances)
+        near = AlongLine(robot, line, *tolerances, allowed=CERTIFICATE_TOLERANCE)
         first, last = path.states[0], path.states[-1:]
         leg = PlanningProblem("line", robot, scene, first, last, constraint=(near,))
         yield Leg(near, leg, path, certify(leg, path))
