@@ -4,7 +4,15 @@ import numpy as np
 import pytest
 from refusals import refused
 
-from cvqmpt_lab import JointState, Motion, TimingSettings, certified_motion, judge
+from cvqmpt_lab import (
+    JointState,
+    Motion,
+    PlanningProblem,
+    Scene,
+    TimingSettings,
+    certified_motion,
+    judge,
+)
 
 
 @pytest.fixture(scope="module")
@@ -97,3 +105,19 @@ def test_a_whole_motion_that_is_too_fast_has_a_speed(plan, problem):
     fast = judge(whole.at_speed(2.5), problem)
     assert not fast.certified and 0.39 < fast.speed < 0.81
     assert judge(whole.at_speed(2.5 * fast.speed), problem).certified
+
+
+def test_a_slower_speed_is_certified_where_the_arm_moves_at_the_start(panda):
+    """Joint 1 moves towards its limit; slower, with the same velocity, it swings out further."""
+    v, found = 0.5 * np.eye(7)[0], []
+    for room in (0.012, 0.5):
+        q = np.array([panda.upper[0] - room, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785])
+        positions = q + 0.8 * np.linspace(0.0, 1.0, 8)[:, None] * np.eye(7)[3]
+        problem = PlanningProblem("free", panda, Scene("empty", ()), q, q[None])
+        state = JointState(q, v, np.zeros(7))
+        motion = Motion(panda.joint_names, positions, 0.1 * np.arange(8.0))
+        judged = judge(motion, problem, last=state)
+        assert judged.check.limits_alone and not judged.certified
+        found.append(judged.speed)
+    assert found[0] is None and found[1] is not None
+    assert judge(motion.at_speed(found[1]), problem, last=state).certified

@@ -17,8 +17,8 @@ class Judgement(NamedTuple):
     """The check of a motion, and the speed that would keep every limit."""
 
     check: DryRun  # certificate, and the share of every limit that is used
-    # factor on the motion's speed at which every limit of rates and efforts holds: 1.0 of a
-    # certified motion; None where slowing alone is no cure
+    # factor on the motion's speed at which it is certified, with the same velocities at its ends:
+    # 1.0 of a certified motion; None where slowing alone is no cure
     speed: float | None
 
     @property

@@ -184,7 +184,8 @@ def speed_within_limits(
 
     Returns:
         A factor on the speed, at most 1, rounded down to 0.01, so that rates and efforts keep
-        their limits; None: none from 0.01 on does, or joints do not rest at an end.
+        their limits; None: none from 0.01 on does, joints do not rest at an end, or the spline of
+        the slower motion is another curve that is not certified.
     """
     ends = ends or Ends()
     motion = motion.of_joints(problem.robot.joint_names)
@@ -207,7 +208,14 @@ def speed_within_limits(
     while high - low > 1:
         middle = (low + high) // 2
         low, high = (middle, high) if kept(middle) else (low, middle)
-    return 0.01 * low if low else None
+    if not low:
+        return None
+    # with a given velocity at an end, a slower spline through the same positions is another curve
+    given = [v for v in (ends.start_velocity, ends.end_velocity) if v is not None]
+    if motion.velocities is None and any(np.any(v) for v in given):
+        slowed = dry_run(problem, motion.at_speed(0.01 * low), ends)
+        return 0.01 * low if slowed.certificate.valid else None
+    return 0.01 * low
 
 
 def _refuse_degrees(robot: Robot, states: np.ndarray) -> None:
