@@ -219,8 +219,9 @@ def certify(
         )
         faults.append(Fault(FaultKind.NOT_PROVEN, text, _place(path.states, q)))
     missing = problem.robot.nothing_collides
-    if missing and problem.scene.obstacles and not problem.attachments:
-        text = f"nothing is compared with {len(problem.scene.obstacles)} obstacles: {missing}"
+    if missing and problem.scene.obstacles:
+        compared = "only what it carries" if problem.carried else "nothing"
+        text = f"{compared} is compared with {len(problem.scene.obstacles)} obstacles: {missing}"
         faults.append(Fault(FaultKind.NOT_PROVEN, text))
     proven_free = proof.colliding is None and proof.unproven is None
     proven_m = problem.clearance if proven_free else -np.inf

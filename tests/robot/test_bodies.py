@@ -14,7 +14,7 @@ from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import load_robot, robot_from_source
 from cvqmpt_lab.robot.source import ARMS
 from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject, pose
-from cvqmpt_lab.scene.shapes import Box
+from cvqmpt_lab.scene.shapes import Box, Sphere
 from cvqmpt_lab.search.result import JointPath
 from cvqmpt_lab.search.space import ConstrainedSpace
 from cvqmpt_lab.trajectory.trajectory import Motion
@@ -72,6 +72,12 @@ def test_a_robot_without_any_moving_body_is_not_certified_among_obstacles(slider
     assert fault.kind is FaultKind.NOT_PROVEN
     cure = "none of the moving links has a collision body: --visual-as-collision takes"
     assert f"nothing is compared with 1 obstacles: {cure}" in fault.text
+    # a load that is compared says nothing about the links
+    can = Attachment("can", Sphere(0.02), pose((0.0, 0.0, 0.1)))
+    carrying = problem.changed(attachments=(can,))
+    (fault,) = certify(carrying, path).faults
+    assert fault.kind is FaultKind.NOT_PROVEN
+    assert f"only what it carries is compared with 1 obstacles: {cure}" in fault.text
     # nothing to collide with: the motion itself is proven, and the robot says what it lacks
     assert certify(*still(robot, Scene("empty", ()))).valid
     assert robot.notes[0].startswith("nothing can collide")
