@@ -13,6 +13,7 @@ from cvqmpt_lab import (
     certified_motion,
     judge,
 )
+from cvqmpt_lab.robot.load import load_robot
 
 
 @pytest.fixture(scope="module")
@@ -121,3 +122,18 @@ def test_a_slower_speed_is_certified_where_the_arm_moves_at_the_start(panda):
         found.append(judged.speed)
     assert found[0] is None and found[1] is not None
     assert judge(motion.at_speed(found[1]), problem, last=state).certified
+
+
+def test_what_a_slider_does_is_told_in_metres_and_newtons(slider_arm_urdf):
+    arm = load_robot(slider_arm_urdf, "tool", acceleration_limits=20.0)
+    q = np.full(4, 0.1)
+    problem = PlanningProblem("slide", arm, Scene("empty", ()), q, q[None] + 0.3 * np.eye(4)[:1])
+    for joint, units in ((0, ["m", "m/s", "m/s^2"]), (1, ["rad", "rad/s", "rad/s^2"])):
+        positions = q + 0.3 * np.linspace(0.0, 1.0, 4)[:, None] * np.eye(4)[joint]
+        found = judge(Motion(arm.joint_names, positions, 0.07 * np.arange(4.0)), problem)
+        uses = {use.unit: use.of for use in found.check.uses[1:]}
+        assert uses == dict.fromkeys(units[1:], arm.joint_names[joint])
+        (text,) = (text for text in found.check.certificate.reasons if "velocity limit" in text)
+        assert f" {units[1]}, its velocity limit is 1" in text
+        assert [arm.unit_of(joint, unit) for unit in ("rad", "rad/s", "rad/s^2")] == units
+    assert [arm.unit_of(0, unit) for unit in ("Nm", "Nm/s")] == ["N", "N/s"]

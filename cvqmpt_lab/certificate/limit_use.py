@@ -17,7 +17,7 @@ from cvqmpt_lab.certificate.motion_curves import rates
 from cvqmpt_lab.geometry.polyline import numbered_parts
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.frame_speeds import FrameSpeeds
-from cvqmpt_lab.robot.robot import JointLimits, Robot
+from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.trajectory.trajectory import bounds, extremes
 
 if TYPE_CHECKING:
@@ -113,12 +113,12 @@ def position_use(robot: Robot, states: np.ndarray, times: np.ndarray) -> Iterato
     k, joint = np.unravel_index(int((off / half).argmax()), off.shape)
     if np.isfinite(half[joint]):
         value, name = float(off[k, joint]), robot.joint_names[joint]
-        limit = float(half[joint])
-        yield LimitUse(FaultKind.LIMITS, name, value, limit, "rad", float(times[k]))
+        limit, unit = float(half[joint]), robot.unit_of(int(joint), "rad")
+        yield LimitUse(FaultKind.LIMITS, name, value, limit, unit, float(times[k]))
 
 
 def rate_uses(
-    name: str, curve: PPoly, given: np.ndarray | None, limits: JointLimits
+    name: str, curve: PPoly, given: np.ndarray | None, robot: Robot
 ) -> Iterator[LimitUse]:
     """Yield the use of the limits of velocity, acceleration and jerk.
 
@@ -129,8 +129,9 @@ def rate_uses(
         name: name of the curve, see `curves_of`.
         curve: q(t).
         given: accelerations at the points of the motion (k, n), counted in addition, or None.
-        limits: limits of the joints.
+        robot: the robot with the limits of its joints.
     """
+    limits = robot.joint_limits
     judged = {"linear": 1, "quintic": 3}.get(name, 2)
     every = (
         (1, FaultKind.VELOCITY, "rad/s", limits.velocity),
@@ -151,8 +152,8 @@ def rate_uses(
         share, k, joint = np.unravel_index(int(used.argmax()), used.shape)
         moment = curve.x[k] + shares[share, k, joint] * (curve.x[k + 1] - curve.x[k])
         value = float(used[share, k, joint] * limit[joint])
-        name = limits.joint_names[joint]
-        yield LimitUse(kind, name, value, float(limit[joint]), unit, float(moment))
+        name, own = limits.joint_names[joint], robot.unit_of(int(joint), unit)
+        yield LimitUse(kind, name, value, float(limit[joint]), own, float(moment))
 
 
 def _rounded_jerk(curve: PPoly) -> np.ndarray:
@@ -253,7 +254,8 @@ def effort_uses(
         limit = getattr(limits, kind)
         k, joint = np.unravel_index(int((values / limit).argmax()), values.shape)
         value, name = float(values[k, joint]), limits.joint_names[joint]
-        yield LimitUse(kind, name, value, float(limit[joint]), unit, float(moments[k]))
+        own = problem.robot.unit_of(int(joint), unit)
+        yield LimitUse(kind, name, value, float(limit[joint]), own, float(moments[k]))
 
 
 def frame_uses(robot: Robot, curve: PPoly, resolution: float = 5e-4) -> Iterator[LimitUse | Fault]:
@@ -285,9 +287,7 @@ def frame_uses(robot: Robot, curve: PPoly, resolution: float = 5e-4) -> Iterator
         yield LimitUse(kind, name, float(most[at, k]), limit, unit, float(parts.times[at]))
 
 
-def rest_faults(
-    name: str, curve: PPoly, limits: JointLimits, last: float, ends: Ends
-) -> Iterator[Fault]:
+def rest_faults(name: str, curve: PPoly, robot: Robot, last: float, ends: Ends) -> Iterator[Fault]:
     """Yield joints that do not begin or end a motion at the given velocity, as a rule at rest.
 
     If jerk is limited, accelerations of quintics must be 0 at rest, too: they would jump. Lines
@@ -296,12 +296,13 @@ def rest_faults(
     Args:
         name: name of the curve, see `curves_of`.
         curve: q(t).
-        limits: limits of the joints.
+        robot: the robot with the limits of its joints.
         last: place of the end, see `Fault.at`.
         ends: the given velocities.
     """
     if name == "linear":
         return
+    limits = robot.joint_limits
     velocity, acceleration = rates(curve, 1), rates(curve, 2)
     for what, at, row, given in (
         ("begins", 0.0, (0, 0), ends.start_velocity),
@@ -319,6 +320,7 @@ def rest_faults(
             joint = int(share.argmax())
             if share[joint] > LIMIT_OVERSHOOT[FaultKind.VELOCITY]:
                 value = abs(off[joint] + (asked[joint] if kind is FaultKind.VELOCITY else 0.0))
-                does = f"{limits.joint_names[joint]} {words} {value:.4g} {unit}"
+                own = robot.unit_of(joint, unit)
+                does = f"{limits.joint_names[joint]} {words} {value:.4g} {own}"
                 given_as = "" if given is None else f", given is {asked[joint]:.4g}"
                 yield Fault(kind, f"{does} where the motion {what}{given_as}", at)

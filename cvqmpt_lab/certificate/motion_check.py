@@ -162,13 +162,13 @@ def dry_run(
     for name, curve in curves.items():
         if not (runs and together):  # else the certified pieces are close to this curve, too
             flat = CURVE_TOLERANCE - (gap if together else 0.0)
-            times = straight_moments(curve, robot.joint_limits, flat)
+            times = straight_moments(curve, robot, flat)
             states = curve(times)
             checker = problem.collision_checker(deviation_m)
             certificate = certify(problem, JointPath(states), checker, exact_clearance)
         uses, missing = _uses(problem, motion, name, curve)
         own = [*missing, *(use.fault(times) for use in uses if use.exceeded)]
-        own += rest_faults(name, curve, robot.joint_limits, len(times) - 1.0, ends)
+        own += rest_faults(name, curve, robot, len(times) - 1.0, ends)
         checked = _with_faults(certificate, [*own, *faults], ends)
         uses = (*position_use(robot, states, times), *uses)
         runs.append(DryRun(checked, states, times, deviation_m, name, uses))
@@ -189,7 +189,6 @@ def speed_within_limits(
     """
     ends = ends or Ends()
     motion = motion.of_joints(problem.robot.joint_names)
-    limits = problem.robot.joint_limits
 
     def kept(percent: int) -> bool:
         slowed = motion.at_speed(0.01 * percent)
@@ -197,7 +196,7 @@ def speed_within_limits(
             0
         ].items():
             uses, missing = _uses(problem, slowed, name, curve)
-            faults = [*missing, *rest_faults(name, curve, limits, 0.0, ends)]
+            faults = [*missing, *rest_faults(name, curve, problem.robot, 0.0, ends)]
             if faults or any(use.exceeded for use in uses):
                 return False
         return True
@@ -238,10 +237,9 @@ def _uses(
     problem: PlanningProblem, motion: Motion, name: str, curve: PPoly
 ) -> tuple[tuple[LimitUse, ...], list[Fault]]:
     """Return the use of every limit on a curve of a motion, and why one is not known."""
-    limits = problem.robot.joint_limits
     # the quintic has these accelerations at its points
     given = motion.accelerations if name == "cubic" else None
-    found = [*rate_uses(name, curve, given, limits)]
+    found = [*rate_uses(name, curve, given, problem.robot)]
     proven = [*frame_uses(problem.robot, curve)]
     if name != "linear":
         proven += effort_uses(problem, curve)

@@ -14,7 +14,7 @@ import numpy as np
 
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.geometry.polyline import cut, step_lengths
-from cvqmpt_lab.robot.robot import JointLimits
+from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.trajectory.trajectory import Motion
 
 if TYPE_CHECKING:
@@ -123,7 +123,7 @@ def rates(curve: PPoly, order: int) -> np.ndarray:
 
 def straight_moments(
     curve: PPoly,
-    limits: JointLimits,
+    robot: Robot,
     flat: float,
     longest: float = 0.1,
     hardest: float = 1e3,
@@ -133,21 +133,23 @@ def straight_moments(
 
     Args:
         curve: q(t).
-        limits: limits of the joints.
+        robot: the robot with the limits of its joints.
         flat: largest distance from straight [rad or m].
         longest: largest distance between the states of a piece's ends [rad or m].
         hardest: if most pieces accelerate by more than this multiple of a limit, the motion is
             refused: units must be wrong.
         most_pieces: largest number of times.
     """
+    limits = robot.joint_limits
     # between these points a cubic is at most 1.2 % larger (Markov: |p''| <= 24 max |p| on [-1, 1])
     most = 1.02 * np.abs(rates(curve, 2)).max(axis=0)
     hard = ~(most <= hardest * limits.acceleration).all(axis=1)
     if np.mean(hard) > 0.5 or not np.isfinite(most).all():
         worst, joint = np.unravel_index(int(np.argmax(most / limits.acceleration)), most.shape)
+        unit = robot.unit_of(int(joint), "rad/s^2")
         raise InvalidInputError(
             f"from point {worst} on {limits.joint_names[joint]} accelerates by "
-            f"{most[worst, joint]:.3g} rad/s^2, its limit is {limits.acceleration[joint]:.3g}: "
+            f"{most[worst, joint]:.3g} {unit}, its limit is {limits.acceleration[joint]:.3g}: "
             "too much to follow; are units right?"
         )
     spans = np.diff(curve.x)

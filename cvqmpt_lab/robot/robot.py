@@ -297,6 +297,11 @@ class Robot:
         """(n,) bool: joints that turn freely by more than one turn."""
         return frozen(self.turns_freely & (self.upper - self.lower > 2.0 * np.pi))
 
+    def unit_of(self, joint: int, unit: str) -> str:
+        """Return the unit of a planned joint for that of a hinge: m/s of a slider for rad/s."""
+        slides = self.kinematics.prismatic[self.kinematics.order[joint]]
+        return unit.replace("Nm", "N").replace("rad", "m") if slides else unit
+
     def movers(self, row: int) -> np.ndarray:
         """Return (n,) bool: the planned joints that move a pose row, followers included."""
         k = self.kinematics
