@@ -42,7 +42,7 @@ class Judgement(NamedTuple):
 class ClearanceAt(NamedTuple):
     """Distances at one state of a motion."""
 
-    at: float  # time [s], or length along a path [rad or m]
+    at: float  # time of the motion [s], or length along a path [rad or m]
     obstacles_m: float  # least distance from obstacles [m]; inf without any
     obstacles: str  # the nearest pair
     itself_m: float  # least distance of the robot's own pieces [m]
@@ -63,7 +63,7 @@ def clearance_along(
 def evenly(check: DryRun, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Return `count` times of a checked motion, or lengths along a path, and the states there."""
     marks = distances_along(check.states) if check.times is None else check.times
-    at = np.linspace(0.0, marks[-1], count)
+    at = np.linspace(marks[0], marks[-1], count)
     return at, states_at(check.states, marks, at)
 
 

@@ -43,7 +43,7 @@ class LimitUse(NamedTuple):
     value: float  # its largest rate or effort
     limit: float
     unit: str
-    time: float  # of that value [s]
+    time: float  # of that value, counted as those of the motion [s]
 
     @property
     def share(self) -> float:

@@ -51,7 +51,8 @@ class DryRun(NamedTuple):
     certificate: Certificate  # places of faults are numbers of `states`
     # (m, n) the certified states; of a trajectory, within CURVE_TOLERANCE of it [rad or m]
     states: np.ndarray
-    times: np.ndarray | None = None  # (m,) of the states [s], or None for a path
+    # (m,) of the states, counted as those of the motion [s]; None for a path
+    times: np.ndarray | None = None
     # largest distance of the robot's points from those on straight pieces between the states
     deviation_m: float = 0.0
     # "cubic", "quintic", "spline" or "linear", the worse one of those checked; "" for a path
@@ -171,7 +172,10 @@ def dry_run(
         own += rest_faults(name, curve, robot, len(times) - 1.0, ends)
         checked = _with_faults(certificate, [*own, *faults], ends)
         uses = (*position_use(robot, states, times), *uses)
-        runs.append(DryRun(checked, states, times, deviation_m, name, uses))
+        # curves begin at 0, the times of a motion may begin later
+        begin = float(motion.times[0])
+        uses = tuple(use._replace(time=begin + use.time) for use in uses)
+        runs.append(DryRun(checked, states, begin + times, deviation_m, name, uses))
         if checked.faults:
             return runs[-1]
     return min(runs, key=lambda run: (run.certificate.valid, _least(run.certificate)))

@@ -150,7 +150,7 @@ def report_lines(found: DryRun, contents: dict[str, Any]) -> list[str]:
     what = "path"
     if found.times is not None:
         share = share_text(found.uses)
-        what = f"trajectory of {found.times[-1]:.3f} s{share}, as {found.curve} pieces"
+        what = f"trajectory of {np.ptp(found.times):.3f} s{share}, as {found.curve} pieces"
     states = "x".join(map(str, np.shape(found.states)))
     word = "certified" if certificate.valid else f"not certified: {certificate.verdict}"
     lines = [f"certificate {word}; {what}, {states} states, problem {contents['problem']}"]

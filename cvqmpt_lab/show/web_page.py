@@ -113,7 +113,7 @@ def _html(drawing: Drawing, size: tuple[int, int] = (1100, 600)) -> str:
         "states": len(labels),
         "labels": labels,
         # duration of the animation [s]
-        "seconds": 6.0 if drawing.times is None else max(float(drawing.times[-1]), 1.0),
+        "seconds": 6.0 if drawing.times is None else max(float(np.ptp(drawing.times)), 1.0),
         "camera": {
             "target": list(map(float, viewpoint.target)),
             "distance": distance,

@@ -349,9 +349,34 @@ def test_clearance_along_time_is_written(judged, trajectory, tmp_path):
     assert '"title": "clearance [mm]"' in shown
     head, *rows = (line.split(",") for line in out.read_text().splitlines())
     assert head == ["at", "obstacles_m", "obstacles", "itself_m", "itself"] and len(rows) == 200
-    assert float(rows[-1][0]) == trajectory.duration
+    assert float(rows[0][0]) == 0.0 and float(rows[-1][0]) == trajectory.duration
     least = min(min(float(row[1]), float(row[3])) for row in rows)
     assert found["min_clearance_m"] - 1e-6 <= least <= found["min_clearance_m"] + 2e-3
+
+
+def test_times_are_those_of_the_file(judged, trajectory, tmp_path):
+    """A motion whose times begin at 100 s has the same report, 100 s later."""
+    out, page = tmp_path / "clearance.csv", tmp_path / "motion.html"
+    files = ["--clearance-out", str(out), "--save", str(page)]
+    kinds = ("times", "velocities", "accelerations")
+    scaled = zip(kinds, (0.5, 2.0, 4.0), strict=True)
+    fast = replace(trajectory, **{kind: x * getattr(trajectory, kind) for kind, x in scaled})
+    (_, begun), (_, later) = (
+        judged(as_csv(replace(fast, times=begin + fast.times)), options=files)
+        for begin in (0.0, 100.0)
+    )
+    for kind in ("faults", "limits"):
+        assert begun[kind]
+        for one, other in zip(begun[kind], later[kind], strict=True):
+            assert other["kind"] == one["kind"]
+            assert other["time_s"] == pytest.approx(100.0 + one["time_s"], abs=1e-6)
+    rows = [line.split(",")[0] for line in out.read_text().splitlines()[1:]]
+    ends = [100.0, 100.0 + 0.5 * trajectory.duration]
+    assert [float(rows[0]), float(rows[-1])] == pytest.approx(ends)
+    shown = page.read_text()
+    assert f"trajectory of {0.5 * trajectory.duration:.3f} s" in shown
+    seconds = json.loads(shown.partition('"seconds": ')[2].partition(",")[0])
+    assert seconds == pytest.approx(max(0.5 * trajectory.duration, 1.0))
 
 
 @pytest.mark.parametrize(
