@@ -32,7 +32,7 @@ from cvqmpt_lab.cli.problem_arguments import (
     robot_source,
     with_limits,
 )
-from cvqmpt_lab.planning.margins import Margin, solve_with_margin
+from cvqmpt_lab.planning.margins import Kept, Margin, kept_by, solve_keeping
 from cvqmpt_lab.planning.planners import default_planner, planner_named
 from cvqmpt_lab.planning.solution import Solution, solution_data
 from cvqmpt_lab.planning.warm_up import compile_kernels, warm_up
@@ -109,11 +109,11 @@ def _solved_problem(
     warm_up(problem, method, args.backend)
     if args.verbose:
         logging.basicConfig(format="%(name)s: %(message)s", level=logging.INFO)
-    kept = ""
+    kept = Kept(None, margin)
 
     def solved(problem: PlanningProblem) -> Solution:
         nonlocal kept
-        solution, kept = solve_with_margin(
+        solution, kept = solve_keeping(
             problem,
             method,
             budget(args),
@@ -133,8 +133,10 @@ def _solved_problem(
 
         limits = problem.robot.joint_limits.scaled(args.speed)
         solution = solve_on_the_move(problem, velocities, limits, solved, args.exact_clearance)
+        if solution.path is not None:
+            kept = kept_by(problem, solution.path, kept)
     if args.json:
-        return solution, solution_data(solution, planner, why, problem) | {"margin": kept}
+        return solution, solution_data(solution, planner, why, problem) | {"margin": str(kept)}
     return solution, [*solution.report(planner, why), f"margin      {kept}"]
 
 

@@ -6,14 +6,24 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cvqmpt_lab.base.poses import rotation_matrices
+from cvqmpt_lab.base.poses import pose, rotation_matrices
 from cvqmpt_lab.certificate.between_states import least_slack
 from cvqmpt_lab.certificate.certificate import certify
 from cvqmpt_lab.cli.problem_options import MARGIN
 from cvqmpt_lab.constraints.goals import goals_of
 from cvqmpt_lab.constraints.report import displacements, excess
-from cvqmpt_lab.planning.margins import NO_MARGIN, Margin, solve_with_margin, with_margin
+from cvqmpt_lab.planning.margins import (
+    NO_MARGIN,
+    Kept,
+    Margin,
+    kept_by,
+    solve_with_margin,
+    with_margin,
+)
 from cvqmpt_lab.planning.pipeline import solve
+from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.scene.scene import Scene, SceneObject
+from cvqmpt_lab.scene.shapes import Sphere
 from cvqmpt_lab.search.result import Budget, JointPath
 from cvqmpt_lab.tasks.solve import solve_task
 
@@ -79,6 +89,50 @@ def test_a_start_that_is_closer_lowers_the_margin_and_is_named(problem):
     assert (
         inner.clearance == used.metres < min(room, 0.09) and "start is" in why and "mm from" in why
     )
+
+
+@pytest.fixture(scope="module")
+def beside_a_ball(panda):
+    """A problem in free space, but for a ball that is 0.8 mm from the hand at the start."""
+    start = np.array([0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785])
+    centre, near, far = panda.pose(start)[:3, 3] + (0.0, 0.0, 0.02), -0.02, -0.25
+
+    def beside(y):
+        ball = SceneObject("ball", Sphere(0.02), pose(centre + (0.0, y, 0.0)))
+        scene, goal = Scene("ball", (ball,)), start + 0.2 * np.eye(7)[:1]
+        return PlanningProblem("beside", panda, scene, start, goal)
+
+    for _ in range(30):
+        middle = 0.5 * (near + far)
+        distance = beside(middle).collision_checker().nearest_obstacle(start).distance
+        near, far = (near, middle) if distance > 8e-4 else (middle, far)
+    return beside(far)
+
+
+def test_a_moving_start_that_is_closer_lowers_the_margin_too(beside_a_ball, tmp_path, cvqmpt):
+    """The search begins where the arm can stop, further away from the ball."""
+    beside_a_ball.save(tmp_path / "p.json")
+    words = ["--problem-file", tmp_path / "p.json", "--planner", "birrt", "--iterations", 2000]
+    told = cvqmpt(
+        "plan", *words, "--trajectory", tmp_path / "m.json", "--start-velocity", "0.2 0 0 0 0 0 0"
+    )
+    margin = "margin      0.7 mm, 0.005 rad of 2 mm, 0.005 rad: the start is 0.7 mm from panda_"
+    assert margin in told
+
+
+def test_straight_ends_keep_what_the_whole_path_keeps(beside_a_ball):
+    """Both ends are away from the ball, but the path between them goes to it and back."""
+    aside = np.abs(np.linspace(-0.1, 0.1, 9))[:, None] * np.eye(7)[0]
+    states = beside_a_ball.start + aside
+    passing = beside_a_ball.changed(start=states[0], goals=states[-1:])
+    kept = kept_by(passing, JointPath(states), Kept(Margin(), Margin()))
+    assert str(kept) == "0 mm, 0.005 rad of 2 mm, 0.005 rad: its straight ends keep no more"
+    away = passing.changed(scene=Scene("empty", ()))
+    assert str(kept_by(away, JointPath(states), Kept(Margin(), Margin()))) == "2 mm, 0.005 rad"
+    inner = Kept(Margin(0.001, 0.005), Margin(), "the start is 1.0 mm from a wall")
+    told = str(kept_by(away, JointPath(states), inner))
+    why = "between its straight ends: the start is 1.0 mm from a wall"
+    assert told == f"1 mm, 0.005 rad of 2 mm, 0.005 rad: {why}"
 
 
 def test_without_a_path_inside_it_is_planned_without(problem):

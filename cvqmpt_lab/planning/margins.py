@@ -6,7 +6,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 
 from cvqmpt_lab.base.errors import InvalidInputError, InvalidProblemError
-from cvqmpt_lab.certificate.certificate import deviation_tolerated
+from cvqmpt_lab.certificate.certificate import certify, deviation_tolerated
 from cvqmpt_lab.constraints.goals import Goals, goals_of
 from cvqmpt_lab.constraints.project import PROJECTION_TOLERANCE
 from cvqmpt_lab.constraints.report import displacements, excess
@@ -15,7 +15,7 @@ from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.planning.solution import Solution
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.search.method import Method
-from cvqmpt_lab.search.result import Budget
+from cvqmpt_lab.search.result import Budget, JointPath
 
 
 class Margin(NamedTuple):
@@ -34,6 +34,23 @@ class Margin(NamedTuple):
 
 
 NO_MARGIN = Margin(0.0, 0.0)
+
+
+class Kept(NamedTuple):
+    """The margin that a path keeps."""
+
+    used: Margin | None  # None: none is kept
+    asked: Margin
+    why: str = ""  # the reason if less is kept than was asked for
+
+    def __str__(self) -> str:
+        """Return the margin in words, with the reason if it is smaller."""
+        if self.asked == NO_MARGIN:
+            return "none requested"
+        if self.used is None:
+            return f"none of {_text(self.asked)}: {self.why}"
+        used = _text(self.used)
+        return f"{used} of {_text(self.asked)}: {self.why}" if self.why else used
 
 
 def with_margin(
@@ -113,12 +130,26 @@ def solve_with_margin(
         The solution; a tolerated deviation in its certificate is with respect to the given problem.
         And the margin used, with the reason if it is smaller, in words.
     """
+    solution, kept = solve_keeping(problem, method, budget, seed, margin, **options)
+    return solution, str(kept)
+
+
+def solve_keeping(
+    problem: PlanningProblem,
+    method: Method | str,
+    budget: Budget,
+    seed: int,
+    margin: Margin,
+    **options: Any,
+) -> tuple[Solution, Kept]:
+    """Return the solution as `solve_with_margin`, and the margin as numbers."""
     margin.check()
     if margin == NO_MARGIN:
-        return solve(problem, method, budget, seed, **options), "none requested"
+        return solve(problem, method, budget, seed, **options), Kept(None, margin)
     goals: Goals = options.pop("goals", None) or goals_of(problem)
     if len(goals.configurations) == 0:
-        return solve(problem, method, budget, seed, goals=goals, **options), "none: no goal"
+        plain = solve(problem, method, budget, seed, goals=goals, **options)
+        return plain, Kept(None, margin, "no goal")
     inner, used, why = with_margin(problem, goals.configurations, margin)
     found: Solution | None = None
     try:
@@ -130,7 +161,7 @@ def solve_with_margin(
             status = found.status.replace("_", " ")
             why = "; ".join(filter(None, (why, f"no path with this margin: {status}")))
         plain = solve(problem, method, budget.share(0.5), seed, goals=goals, **options)
-        return plain, f"none of {_text(margin)}: {why}"
+        return plain, Kept(None, margin, why)
     assert found.certificate is not None and found.path is not None
     tolerated = found.certificate.tolerated
     if tolerated is not None:
@@ -142,8 +173,31 @@ def solve_with_margin(
         certificate=replace(found.certificate, tolerated=tolerated),
         goal_seconds=goals.seconds,
     )
-    text = f"{_text(used)} of {_text(margin)}: {why}" if why else _text(used)
-    return found, text
+    return found, Kept(used, margin, why)
+
+
+def kept_by(problem: PlanningProblem, path: JointPath, kept: Kept) -> Kept:
+    """Return the margin of a whole path, of which a part between its ends keeps `kept`.
+
+    Args:
+        problem: the problem of the whole path.
+        path: the path, from the start to a goal.
+        kept: margin of the part.
+    """
+    if kept.used is None:
+        return kept
+    goal = path.states[-1:]
+    _, used, why = with_margin(problem, goal, kept.asked)
+    least = Margin(*np.minimum(used, kept.used).tolist())
+    if least != used and kept.why:
+        why = "; ".join(filter(None, (why, f"between its straight ends: {kept.why}")))
+    less = "; ".join(filter(None, (why, "its straight ends keep no more")))
+    metres, radians = Margin(least.metres, 0.0), Margin(0.0, least.radians)
+    for one, reason in ((least, why), (metres, less), (radians, less)):
+        inner, _, _ = with_margin(problem, goal, one)
+        if one != NO_MARGIN and certify(inner, path).valid:
+            return Kept(one, kept.asked, reason)
+    return Kept(None, kept.asked, less)
 
 
 def _text(margin: Margin) -> str:
