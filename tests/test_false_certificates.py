@@ -179,4 +179,4 @@ def test_jerk_of_exact_cubics_is_judged(tmp_path, jerk, ends, stated, kinds):
         jumps = replace(motion, accelerations=motion.accelerations.copy())
         jumps.accelerations[[0, -1], 0] = 1.0
         texts = dry_run(problem, jumps).certificate.reasons
-        assert sum("at once by 1 rad/s^2 where the motion" in text for text in texts) == 2
+        assert sum("at once by 1 m/s^2 where the motion" in text for text in texts) == 2
