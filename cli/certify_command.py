@@ -3,7 +3,7 @@
 import argparse
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from cvqmpt_lab.base.codec import from_plain
-from cvqmpt_lab.base.errors import InvalidInputError
+from cvqmpt_lab.base.errors import InvalidInputError, located
 from cvqmpt_lab.base.files import csv_table, read_json_object, write_text
 from cvqmpt_lab.base.values import Array, FloatArray
 from cvqmpt_lab.certificate.judge import ClearanceAt, Judgement, clearance_along, evenly, judge
@@ -102,7 +102,7 @@ def _told(
 
 def _by_request(args: argparse.Namespace, motion: Motion) -> tuple[PlanningProblem, Judgement]:
     """Judge a motion by --request, among the obstacles of --scene."""
-    from cvqmpt_lab.certificate.motion_request import judge_request, read_request
+    from cvqmpt_lab.certificate.motion_request import judge_request, read_request, standing_frame
 
     if any((args.suite, args.problem_file, args.task_file)):
         raise InvalidInputError("--request states start, goals and constraint; give no problem")
@@ -117,7 +117,11 @@ def _by_request(args: argparse.Namespace, motion: Motion) -> tuple[PlanningProbl
     else:
         from cvqmpt_lab.scene.moveit_scenes import read_moveit_scene
 
-        scene, _ = read_moveit_scene(args.scene)
+        scene, frame = read_moveit_scene(args.scene)
+        with located(f"scene {args.scene}"):
+            T = standing_frame(frame, robot)
+        moved = (replace(each, T_world_object=T @ each.T_world_object) for each in scene.objects)
+        scene = replace(scene, objects=tuple(moved))
     return judge_request(motion, request, robot, scene, exact=True)
 
 

@@ -123,7 +123,8 @@ def _import(args: argparse.Namespace) -> None:
     write_text(writable_file(path), json_text(to_plain(scene)) + "\n")
     named = f"frame {frame!r}" if frame else "the file's frame"
     print(
-        f"{path} written: {len(scene.objects)} objects; {named} is used as the robot's base frame"
+        f"{path} written: {len(scene.objects)} objects; {named} is used as the world, at whose "
+        "origin the robot's base stands unless --base moves it"
     )
     print(
         f'use it in a problem, "scene": "{path.name}", or in: cvqmpt plan --scene {path} --start '

@@ -203,3 +203,43 @@ def test_wrong_requests_are_one_line(tmp_path, capsys, request_of, solution, tol
     (tmp_path / "r.json").write_text(json.dumps(request_of(**WRONG[told])))
     words = ("certify", tmp_path / "m.csv", "--request", tmp_path / "r.json")
     assert told in refused(capsys, *words)
+
+
+@pytest.fixture
+def certified(tmp_path, capsys, solution):
+    """Return the exit code and what `certify` says of the solution with a request and options."""
+
+    def run(request, *options):
+        np.savetxt(tmp_path / "m.csv", solution.path.states, delimiter=",", fmt="%.17g")
+        (tmp_path / "r.json").write_text(json.dumps(request))
+        words = [tmp_path / "m.csv", "--request", tmp_path / "r.json", *options]
+        code = main(["certify", *map(str, words)])
+        told = capsys.readouterr()
+        return code, told.out + told.err
+
+    return run
+
+
+ANYTHING = {"path_constraints": {}}
+
+
+def test_obstacles_are_where_the_frame_of_their_poses_is(tmp_path, certified, problem, solution):
+    hand = problem.robot.pose(solution.path.states[0])[:3, 3]
+    ball = {
+        "id": "ball",
+        "header": {"frame_id": "panda_link0"},
+        "primitives": [{"type": 2, "dimensions": [0.05]}],
+        "primitive_poses": [{"position": dict(zip("xyz", hand.tolist(), strict=True))}],
+    }
+    file = tmp_path / "s.yaml"
+    words = ("--scene", str(file), "--base", "0,0,1")
+    for frame, code, said in (
+        ("panda_link0", 1, "in collision: panda_"),
+        ("world", 0, "certificate certified"),
+        ("panda_hand", 2, "frame_id 'panda_hand' is moved by the planned joints"),
+        ("no_such_frame", 2, "frame of robot panda 'no_such_frame'"),
+    ):
+        ball["header"]["frame_id"] = frame
+        file.write_text(json.dumps({"world": {"collision_objects": [ball]}}))
+        found = certified(ANYTHING, "--robot", "panda", *words)
+        assert found[0] == code and said in found[1], (frame, found)

@@ -346,9 +346,8 @@ def _joint(fields: Mapping[str, Any], robot: Robot) -> JointBounds:
     return JointBounds(name, value - below, value + above)
 
 
-def _frame(fields: Mapping[str, Any], robot: Robot) -> np.ndarray:
-    """Return T_world_frame (4, 4) of the frame of a message, which must stand still."""
-    name = str(field_of(fields.get("header"), "frame_id") or "")
+def standing_frame(name: str, robot: Robot) -> np.ndarray:
+    """Return T_world_frame (4, 4) of a frame_id of a message, which must stand still."""
     if name in ("", "world") and name not in robot.frame_names:
         return np.eye(4)
     row, T = robot.link_of(name)
@@ -358,6 +357,10 @@ def _frame(fields: Mapping[str, Any], robot: Robot) -> np.ndarray:
             f"such as {robot.frame_names[0]!r}"
         )
     return T
+
+
+def _frame(fields: Mapping[str, Any], robot: Robot) -> np.ndarray:
+    return standing_frame(str(field_of(fields.get("header"), "frame_id") or ""), robot)
 
 
 def _link(fields: Mapping[str, Any], robot: Robot) -> str:

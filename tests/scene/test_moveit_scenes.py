@@ -151,6 +151,6 @@ def test_damaged_text_is_refused_in_one_line(tmp_path, text):
 def test_import_writes_a_scene_that_problems_name(tmp_path, cvqmpt, capsys):
     (tmp_path / "shelf.scene").write_text(OLDER)
     words = f"problems import {tmp_path}/shelf.scene --out {tmp_path}/shelf.json"
-    assert "3 objects; the file's frame is used as the robot's base frame" in cvqmpt(words)
+    assert "3 objects; the file's frame is used as the world, at whose" in cvqmpt(words)
     assert read_scene(tmp_path / "shelf.json") == read_moveit_scene(tmp_path / "shelf.scene")[0]
     assert "exists already" in refused_command(capsys, *words.split())
