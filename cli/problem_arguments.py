@@ -199,11 +199,14 @@ def with_limits(
 
 
 def with_tool_speed(args: argparse.Namespace, robot: Robot) -> Robot:
-    """Return the robot with --tool-speed for its end effectors."""
+    """Return the robot with --tool-speed for its end effectors; without W their own one stays."""
     if args.tool_speed is None:
         return robot
-    limits = dict.fromkeys(robot.end_effectors, FrameLimit(*args.tool_speed))
-    return with_frame_limits(robot, {**robot.frame_limits, **limits})
+    limits = dict(robot.frame_limits)
+    for name in robot.end_effectors:
+        own = limits[name].turning_speed if name in limits else None
+        limits[name] = FrameLimit(*[*args.tool_speed, own][:2])
+    return with_frame_limits(robot, limits)
 
 
 def end_velocities(

@@ -1,6 +1,7 @@
 """Motions judged by MoveIt's requests: kept, dropped and missed conditions; requests refused."""
 
 import json
+from argparse import Namespace
 from dataclasses import replace
 
 import numpy as np
@@ -9,9 +10,13 @@ from command_line import refused
 from scipy.spatial.transform import Rotation
 
 from cvqmpt_lab.base.errors import InvalidInputError
-from cvqmpt_lab.certificate.motion_request import judge_request, read_request
+from cvqmpt_lab.certificate.motion_request import MotionRequest, judge_request, read_request
 from cvqmpt_lab.cli.main import main
+from cvqmpt_lab.cli.problem_arguments import with_tool_speed
 from cvqmpt_lab.planning.pipeline import solve
+from cvqmpt_lab.robot.load import robot_from_source
+from cvqmpt_lab.robot.robot import FrameLimit
+from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.trajectory.trajectory import Motion
 
@@ -243,3 +248,19 @@ def test_obstacles_are_where_the_frame_of_their_poses_is(tmp_path, certified, pr
         file.write_text(json.dumps({"world": {"collision_objects": [ball]}}))
         found = certified(ANYTHING, "--robot", "panda", *words)
         assert found[0] == code and said in found[1], (frame, found)
+
+
+def test_the_stricter_of_two_limits_of_the_hand_counts():
+    limited = robot_from_source(
+        {"name": "panda", "frame_limits": {"panda_hand": {"speed": 0.1, "turning_speed": 0.2}}}
+    )
+    for given, speed in ((0.5, 0.1), (0.05, 0.05)):
+        made = MotionRequest(frame_limits={"panda_hand": FrameLimit(given)})
+        states = np.stack([limited.lower, limited.lower + 0.01])
+        problem, _ = judge_request(
+            Motion(limited.joint_names, states), made, limited, Scene("none", ())
+        )
+        assert problem.robot.frame_limits == {"panda_hand": FrameLimit(speed, 0.2)}
+    for option, turning in (([1.0], 0.2), ([1.0, 2.0], 2.0)):
+        changed = with_tool_speed(Namespace(tool_speed=option), limited)
+        assert changed.frame_limits == {"panda_hand": FrameLimit(1.0, turning)}

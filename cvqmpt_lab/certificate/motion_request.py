@@ -157,7 +157,9 @@ def _limited(robot: Robot, request: MotionRequest) -> Robot:
     """Return the robot with the limits that a request asks for."""
     changed: dict[str, Any] = {}
     if request.frame_limits:
-        limits = {**robot.frame_limits, **request.frame_limits}
+        limits = dict(robot.frame_limits)
+        for name, limit in request.frame_limits.items():
+            limits[name] = limit.within(limits.get(name, limit))
         changed["frame_limits"] = {name: vars(limit) for name, limit in limits.items()}
     if request.speed < 1.0:
         changed["velocity_limits"] = (request.speed * robot.velocity_limits).tolist()

@@ -111,6 +111,16 @@ class FrameLimit:
         if self.speed is None and self.turning_speed is None:
             raise InvalidInputError("a frame's limit has neither 'speed' nor 'turning_speed'")
 
+    def within(self, other: "FrameLimit") -> "FrameLimit":
+        """Return the smaller limit of each kind of both."""
+
+        def least(*limits: float | None) -> float | None:
+            return min((limit for limit in limits if limit is not None), default=None)
+
+        return FrameLimit(
+            least(self.speed, other.speed), least(self.turning_speed, other.turning_speed)
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class JointLimits:
