@@ -1,12 +1,14 @@
 """Motions judged by MoveIt's requests: kept, dropped and missed conditions; requests refused."""
 
 import json
+import re
 from argparse import Namespace
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from command_line import refused
+from refusals import refused as called
 from scipy.spatial.transform import Rotation
 
 from cvqmpt_lab.base.errors import InvalidInputError
@@ -21,6 +23,7 @@ from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.trajectory.trajectory import Motion
 
 FREE = 3.1416
+ANYTHING = {"path_constraints": {}}
 
 
 def quaternion(R):
@@ -181,6 +184,26 @@ WRONG = {
     "start_state has no value of panda_joint2, panda_joint3": {
         "start_state": {"joint_state": {"name": ["panda_joint1"], "position": [0.0]}}
     },
+    "start_state is 'garbage'": {"start_state": "garbage"},
+    "unknown key of start_state 'joint_stat'": {"start_state": {"joint_stat": {}}},
+    "unknown key of start_state.joint_state 'names'": {
+        "start_state": {"joint_state": {"names": ["panda_joint1"], "positions": [2.0]}}
+    },
+    "'panda_joint1' occurs twice": {
+        "start_state": {"joint_state": {"name": ["panda_joint1"] * 2, "position": [0.0, 0.0]}}
+    },
+    "start_state.joint_state.velocity is [0.0, 0.5], but motions are judged from rest": {
+        "start_state": {"joint_state": {"velocity": [0.0, 0.5]}}
+    },
+    "start_state.multi_dof_joint_state places ['base'], which is not judged": {
+        "start_state": {"multi_dof_joint_state": {"joint_names": ["base"], "transforms": [{}]}}
+    },
+    "start_state has joint 'torso', which panda lacks": {
+        "start_state": {
+            "is_diff": True,
+            "joint_state": {"name": ["panda_joint1", "torso"], "position": [0.0, 0.0]},
+        }
+    },
     "position 40 of panda_joint1 is outside its limits": {
         "path_constraints": {"joint_constraints": [{"joint_name": "panda_joint1", "position": 40}]}
     },
@@ -200,6 +223,63 @@ def test_the_frame_of_a_speed_limit_has_two_names(tmp_path, request_of, problem)
         assert list(read_request(tmp_path / "r.json", problem.robot).frame_limits) == [
             "panda_link4"
         ]
+
+
+BESIDE = {
+    "unknown key of the message 'nonsense'": {"nonsense": 1},
+    "the robot carries pole; remove it": {
+        "robot_state": {"attached_collision_objects": [{"object": {"id": "pole"}}]}
+    },
+    "planning_scene_diff adds 'wall'; write it into a PlanningScene": {
+        "world": {"collision_objects": [{"id": "wall"}]}
+    },
+    "planning_scene_diff adds an octomap": {"world": {"octomap": {"octomap": {"data": [1]}}}},
+    "planning_scene_diff has a joint_state": {
+        "robot_state": {"joint_state": {"name": ["panda_joint1"], "position": [1.0]}}
+    },
+}
+
+
+@pytest.mark.parametrize("told", BESIDE)
+def test_what_stands_beside_a_request_is_not_dropped(tmp_path, problem, told):
+    diff = {"world": {"collision_objects": []}, "robot_state": {"is_diff": True}}
+    whole = {"request": ANYTHING, "planning_options": {"planning_scene_diff": diff}}
+    file = tmp_path / "r.json"
+    file.write_text(json.dumps(whole))
+    assert read_request(file, problem.robot) == MotionRequest()
+    if "nonsense" in BESIDE[told]:
+        whole |= BESIDE[told]
+    diff |= BESIDE[told]
+    file.write_text(json.dumps(whole))
+    called(re.escape(told), read_request, file, problem.robot)
+
+
+def test_joints_that_the_robot_holds_are_where_the_start_state_says(tmp_path, problem):
+    file, names = tmp_path / "r.json", ["panda_joint1", "panda_finger_joint1"]
+    kinds = ("velocity", "acceleration", "jerk", "effort", "torque_rate")
+    limits = {f"{kind}_limits": 100.0 for kind in kinds}
+    locked = robot_from_source({"name": "panda", "locked": {"panda_joint1": 0.0}, **limits})
+
+    def read(robot, *values):
+        joints = {"name": [*names, "panda_joint2"], "position": [*values, 0.5]}
+        state = {"joint_state": joints, "is_diff": True}
+        file.write_text(json.dumps({"start_state": state, **ANYTHING}))
+        return read_request(file, robot)
+
+    told = "panda_joint1 at 1.5, the robot holds it at 0: give --lock panda_joint1=1.5"
+    called(told, read, locked, 1.5, 0.04)
+    # the hand is judged as it is opened, but not against a --lock
+    request = read(locked, 0.0, 0.01)
+    assert request.fingers == {"panda_finger_joint1": 0.01}
+    states = np.zeros((2, 6)) + 0.5
+    judged = judge_request(Motion(None, states), request, locked, Scene("none", ()))[0].robot
+    assert {joint.name: joint.value for joint in judged.held_joints} == {
+        "panda_joint1": 0.0,
+        "panda_finger_joint1": 0.01,
+        "panda_finger_joint2": 0.04,
+    }
+    opened = robot_from_source({"name": "panda", "locked": {"panda_finger_joint1": 0.0}})
+    called("holds it at 0: give --lock panda_finger_joint1=0.01", read, opened, 0.0, 0.01)
 
 
 @pytest.mark.parametrize("told", WRONG)
@@ -223,9 +303,6 @@ def certified(tmp_path, capsys, solution):
         return code, told.out + told.err
 
     return run
-
-
-ANYTHING = {"path_constraints": {}}
 
 
 def test_obstacles_are_where_the_frame_of_their_poses_is(tmp_path, certified, problem, solution):

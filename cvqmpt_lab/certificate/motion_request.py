@@ -24,6 +24,7 @@ from cvqmpt_lab.base.errors import (
     mapping,
     require_choice,
     shown,
+    unique,
 )
 from cvqmpt_lab.base.files import json_value, yaml_value
 from cvqmpt_lab.base.poses import pose, ros_vector
@@ -42,7 +43,7 @@ from cvqmpt_lab.constraints.task_space_region import FREE, TaskSpaceRegion
 from cvqmpt_lab.geometry.polyline import cut, nearest_places
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.hulls import srdf_root
-from cvqmpt_lab.robot.load import robot_from_source
+from cvqmpt_lab.robot.load import gripper_joints, robot_from_source
 from cvqmpt_lab.robot.robot import FrameLimit, Robot
 from cvqmpt_lab.robot.source import read_source
 from cvqmpt_lab.scene.cloud_files import read_by_suffix
@@ -103,6 +104,7 @@ class MotionRequest:
     speed: float = 1.0  # factor on the velocity limits
     acceleration: float = 1.0  # factor on the acceleration limits
     frame_limits: Mapping[str, FrameLimit] = field(default_factory=dict)
+    fingers: Mapping[str, float] = field(default_factory=dict)  # held elsewhere by the robot
 
 
 def read_request(path: Path, robot: Robot) -> MotionRequest:
@@ -154,8 +156,10 @@ def judge_request(
 
 
 def _limited(robot: Robot, request: MotionRequest) -> Robot:
-    """Return the robot with the limits that a request asks for."""
+    """Return the robot with the limits that a request asks for, and its opening of the hand."""
     changed: dict[str, Any] = {}
+    if request.fingers:
+        changed["locked"] = {**robot.source.get("locked", {}), **request.fingers}
     if request.frame_limits:
         limits = dict(robot.frame_limits)
         for name, limit in request.frame_limits.items():
@@ -211,6 +215,8 @@ def _request(message: Any, robot: Robot) -> MotionRequest:
     fields = mapping(message, "", "goal_constraints, path_constraints, start_state")
     for key in ("motion_plan_request", "request"):
         if key in fields:
+            known_fields(fields, "the message", (key, "planning_options"))
+            _refuse_diff(field_of(fields.get("planning_options"), "planning_scene_diff"))
             return _request(fields[key], robot)
     if "goal_constraints" not in fields and "path_constraints" not in fields:
         return MotionRequest(path=_conditions(fields, robot, ""))
@@ -233,14 +239,33 @@ def _request(message: Any, robot: Robot) -> MotionRequest:
     # the second name is that of earlier versions
     frames = ("cartesian_speed_limited_link", "cartesian_speed_end_effector_link")
     frame = next(filter(None, map(fields.get, frames)), robot.end_effector)
+    start, fingers = _start(fields.get("start_state"), robot)
     return MotionRequest(
-        _start(fields.get("start_state"), robot),
+        start,
         _conditions(fields.get("path_constraints") or {}, robot, "path_constraints"),
         tuple(_conditions(goal, robot, f"goal_constraints[{k}]") for k, goal in enumerate(goals)),
         _factor(fields, "max_velocity_scaling_factor"),
         _factor(fields, "max_acceleration_scaling_factor"),
         {str(frame): FrameLimit(speed)} if speed > 0.0 else {},
+        fingers,
     )
+
+
+def _refuse_diff(diff: Any) -> None:
+    """Refuse what a planning_scene_diff adds to the scene or the start, which is not judged."""
+    state, world = field_of(diff, "robot_state"), field_of(diff, "world")
+    refuse_attached(state)
+    objects = listed(field_of(world, "collision_objects"), "collision_objects")
+    if objects or field_of(field_of(field_of(world, "octomap"), "octomap"), "data"):
+        names = ", ".join(shown(field_of(item, "id")) for item in objects) or "an octomap"
+        raise InvalidInputError(
+            f"planning_scene_diff adds {names}; write it into a PlanningScene and give that as "
+            "--scene"
+        )
+    if field_of(field_of(state, "joint_state"), "name"):
+        raise InvalidInputError(
+            "planning_scene_diff has a joint_state; write it as the request's start_state"
+        )
 
 
 def _number(value: Any, where: str) -> float:
@@ -253,22 +278,41 @@ def _factor(fields: Mapping[str, Any], name: str) -> float:
     return factor if 0.0 < factor <= 1.0 else 1.0
 
 
-def _start(state: Any, robot: Robot) -> dict[str, float]:
-    """Return the values of the planned joints in a RobotState; none for the current state."""
-    refuse_attached(state)
-    joints = field_of(state, "joint_state")
-    names = listed(field_of(joints, "name"), "start_state.joint_state.name")
-    values = listed(field_of(joints, "position"), "start_state.joint_state.position")
+def _given(value: Any, where: str, known: str) -> Mapping[str, Any]:
+    """Return an object with fields of `known` alone; None is an empty one."""
+    return known_fields({} if value is None else value, where, known.split())
+
+
+def _start(state: Any, robot: Robot) -> tuple[dict[str, float], dict[str, float]]:
+    """Return values of joints in a RobotState: planned ones, and fingers held elsewhere."""
+    parts = "joint_state multi_dof_joint_state attached_collision_objects is_diff"
+    fields = _given(state, "start_state", parts)
+    refuse_attached(fields)
+    where = "start_state.joint_state"
+    joints = _given(fields.get("joint_state"), where, "header name position velocity effort")
+    names = [str(name) for name in listed(joints.get("name"), f"{where}.name")]
+    unique(names, f"{where}.name")
+    values = listed(joints.get("position"), f"{where}.position")
     if len(names) != len(values):
+        raise InvalidInputError(f"{where} has {len(names)} names and {len(values)} positions")
+    for rate in listed(joints.get("velocity"), f"{where}.velocity"):
+        if _number(rate, f"{where}.velocity"):
+            raise InvalidInputError(
+                f"{where}.velocity is {shown(joints['velocity'])}, but motions are judged from "
+                "rest; leave it empty, or judge by a problem file with --start-velocity"
+            )
+    parts = "header joint_names transforms twist wrench"
+    base = _given(fields.get("multi_dof_joint_state"), "multi_dof_joint_state", parts)
+    if placed := base.get("joint_names") or base.get("transforms"):
         raise InvalidInputError(
-            f"start_state.joint_state has {len(names)} names and {len(values)} positions"
+            f"start_state.multi_dof_joint_state places {shown(placed)}, which is not judged; leave "
+            "it empty and place the robot by --base"
         )
-    both = zip(map(str, names), values, strict=True)
-    found = {
+    every = {
         name: _number(value, f"start_state: {name}")
-        for name, value in both
-        if name in robot.joint_names
+        for name, value in zip(names, values, strict=True)
     }
+    found = {name: value for name, value in every.items() if name in robot.joint_names}
     if names and not found:
         raise InvalidInputError(
             f"start_state has joints {', '.join(map(shown, names))}; the robot has "
@@ -280,7 +324,33 @@ def _start(state: Any, robot: Robot) -> dict[str, float]:
             f"start_state has no value of {', '.join(missing)}; add it, or write is_diff: true if "
             "the motion may start at any value of it"
         )
-    return found
+    return found, _fingers(every, robot)
+
+
+def _fingers(values: Mapping[str, float], robot: Robot) -> dict[str, float]:
+    """Return the joints of the gripper at other values than the robot's; refuse other joints."""
+    held = {joint.name: joint.value for joint in robot.held_joints}
+    other = {
+        name: value
+        for name, value in values.items()
+        if name in held and abs(value - held[name]) > 1e-6
+    }
+    fingers = {joint.name for joint in gripper_joints(robot)} if other else set()
+    # what is locked by the user is where the user says
+    fingers -= robot.source.get("locked", {}).keys()
+    for name, value in other.items():
+        if name not in fingers:
+            raise InvalidInputError(
+                f"start_state has {name} at {value:.9g}, the robot holds it at {held[name]:.9g}: "
+                f"give --lock {name}={value:.9g}"
+            )
+    known = {*held, *robot.moving_joints}
+    if unknown := [name for name in values if name not in known]:
+        raise InvalidInputError(
+            f"start_state has joint {shown(unknown[0])}, which {robot.name} lacks: give the robot "
+            "that was planned, with all of its parts"
+        )
+    return other
 
 
 def _check_group(name: str, robot: Robot) -> None:
