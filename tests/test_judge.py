@@ -137,3 +137,10 @@ def test_what_a_slider_does_is_told_in_metres_and_newtons(slider_arm_urdf):
         assert f" {units[1]}, its velocity limit is 1" in text
         assert [arm.unit_of(joint, unit) for unit in ("rad", "rad/s", "rad/s^2")] == units
     assert [arm.unit_of(0, unit) for unit in ("Nm", "Nm/s")] == ["N", "N/s"]
+
+
+def test_a_chunk_without_states_is_not_certified(problem):
+    """Not an error of an index, although there is a current state to compare it with."""
+    empty = Motion(problem.robot.joint_names, np.empty((0, 7)), np.empty(0))
+    judged = judge(empty, problem, last=JointState(*np.zeros((3, 7))))
+    assert "states have shape (0, 7)" in judged.first_fault.text

@@ -341,3 +341,13 @@ def test_the_stricter_of_two_limits_of_the_hand_counts():
     for option, turning in (([1.0], 0.2), ([1.0, 2.0], 2.0)):
         changed = with_tool_speed(Namespace(tool_speed=option), limited)
         assert changed.frame_limits == {"panda_hand": FrameLimit(1.0, turning)}
+
+
+def test_motions_of_few_or_far_states_have_no_euler_angles_to_cut(judged, request_of, solution):
+    first = solution.path.states[:1]
+    found = judged(request_of(parameterization=0), first).check.certificate
+    assert any("states have shape (1, 7)" in reason for reason in found.reasons)
+    called(r"states of shape \(0, 7\)", judged, request_of(), first[:0])
+    # cut finely, this motion would fill the memory
+    far = np.concatenate([first, first + 1e12])
+    assert not judged(ANYTHING, far).certified

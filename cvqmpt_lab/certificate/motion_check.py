@@ -141,7 +141,8 @@ def dry_run(
     motion = motion.of_joints(problem.robot.joint_names)
     states, robot = motion.positions, problem.robot
     usable = states.ndim == 2 and states.shape[1] == robot.dof and np.isfinite(states).all()
-    if usable and len(states):
+    usable = usable and len(states) > 0
+    if usable:
         _refuse_degrees(robot, states)
     faults = (
         _start_fault(problem, states[0], ends.current, ends.tolerance)

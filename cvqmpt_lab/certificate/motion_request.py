@@ -135,7 +135,8 @@ def judge_request(
     robot = _limited(robot, request)
     motion = motion.of_joints(robot.joint_names)
     states = motion.positions
-    if states.ndim != 2 or states.shape[1] != robot.dof or not np.isfinite(states).all():
+    usable = states.ndim == 2 and states.shape[1] == robot.dof and np.isfinite(states).all()
+    if not usable or not len(states):
         raise InvalidInputError(
             f"the motion has states of shape {states.shape}; give finite ones of {robot.dof} joints"
         )
@@ -194,6 +195,8 @@ def _path_faults(path: Conditions, robot: Robot, states: np.ndarray) -> Iterator
         if over[k] > 1e-6:
             text = f"{name} is at {values[k]:.4g}, the request allows {lower:.4g} to {upper:.4g}"
             yield Fault(FaultKind.LIMITS, text, float(k))
+    if not path.eulers or len(states) < 2:  # a single state is a fault of the certificate
+        return
     turns = np.abs(np.diff(robot.kinematics.joint_values(states), axis=0)).sum(axis=1)
     dense = cut(states, np.maximum(np.ceil(turns / (0.5 * CERTIFICATE_TOLERANCE)), 1.0).astype(int))
     for bounds in path.eulers:

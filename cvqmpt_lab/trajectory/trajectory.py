@@ -248,6 +248,8 @@ def _checked(motion: Motion, path: Path) -> Motion:
             raise InvalidInputError(
                 f"motion {path}: arrays of {motion.positions.shape} and {kind.shape} states"
             )
+    if not len(motion.positions):
+        raise InvalidInputError(f"motion {path}: it has no states: give two or more")
     if motion.joint_names is not None and motion.positions.shape[1] != len(motion.joint_names):
         raise InvalidInputError(
             f"motion {path}: {len(motion.joint_names)} joint names, {motion.positions.shape[1]} "

@@ -84,6 +84,8 @@ def test_a_message_that_cannot_be_judged_is_one_line(tmp_path, told):
 def test_arrays_without_states_are_one_line(tmp_path):
     np.savez(tmp_path / "m.npz", states=STATES)
     refused("it has no array 'q' of states", read_motion, tmp_path / "m.npz")
+    np.savez(tmp_path / "m.npz", q=np.empty((0, 7)))
+    refused("m.npz: it has no states", read_motion, tmp_path / "m.npz")
     np.savez(tmp_path / "m.npz", q=STATES, v=STATES)
     refused("no times 't'", read_motion, tmp_path / "m.npz")
 
