@@ -53,6 +53,9 @@ def run(args: argparse.Namespace) -> int:
     if (args.path / "task.json").is_file():
         return _certify_task(args)
     if args.path.is_dir() and not is_bag(args.path):
+        named = ["topic", "tool_speed", "constraint", "tolerance", "problem"]
+        ends = ["start_velocity", "end_velocity", "part"]
+        refuse_given(args, named + ends, "goes with one motion; give its file")
         of_file = (args.suite, args.problem_file, args.task_file, args.current, args.clearance)
         if any(given is not None for given in of_file) or robot_source(args):
             raise InvalidInputError(
@@ -106,8 +109,9 @@ def _by_request(args: argparse.Namespace, motion: Motion) -> tuple[PlanningProbl
 
     if any((args.suite, args.problem_file, args.task_file)):
         raise InvalidInputError("--request states start, goals and constraint; give no problem")
-    unused = ["current", "start_velocity", "end_velocity", "part", "clearance"]
-    refuse_given(args, unused, "does not go with --request, which states start and goals")
+    unused = ["current", "start_velocity", "end_velocity", "part", "clearance", "tolerance"]
+    unused += ["constraint", "problem"]
+    refuse_given(args, unused, "does not go with --request, which states what the motion must keep")
     robot, scene = with_tool_speed(args, chosen_robot(args)), Scene("no scene", ())
     request = read_request(args.request, robot)
     if args.scene is None:
@@ -135,13 +139,19 @@ def _ends(args: argparse.Namespace, motion: Motion, problem: PlanningProblem) ->
         raise InvalidInputError(
             "--part: a part of a motion begins where the arm is: give --current"
         )
-    return Ends(current, args.tolerance, *end_velocities(args, problem.robot), args.part)
+    if current is None:
+        refuse_given(args, ["tolerance"], "is that of --current; give it")
+    tolerance = args.tolerance or Ends().tolerance
+    return Ends(current, tolerance, *end_velocities(args, problem.robot), args.part)
 
 
 def _certify_task(args: argparse.Namespace) -> int:
     """Certify the motions of all phases of a task, in a folder of plan --trajectory."""
     refuse_given(args, ["problems_dir"], "goes with the directory of a run; leave it out")
-    refuse_given(args, ["current"], "goes with one motion; a task states where it begins")
+    why = "goes with one motion; a task states where it begins"
+    refuse_given(args, ["current", "tolerance"], why)
+    refuse_given(args, ["topic"], "goes with a recording; leave it out")
+    refuse_given(args, ["clearance"], "goes with a problem; the hand of a task touches objects")
     why = "goes with one motion; those of a task begin and end at rest"
     refuse_given(args, ["start_velocity", "end_velocity", "part"], why)
     task = chosen_problem(args)
@@ -289,7 +299,6 @@ OPTIONS: Options = {
     "--tolerance": option(
         "largest distance between --current and the first state; default 0.01",
         type=positive,
-        default=0.01,
         metavar="RAD",
     ),
     **velocity_options("a trajectory", "; any with --part"),

@@ -25,6 +25,9 @@ from cvqmpt_lab.trajectory.trajectory import save_trajectory
 
 def run(args: argparse.Namespace) -> int:
     """Plan, certify, write and print; return 0, or 2 where a line cannot be followed."""
+    if args.speed is not None and args.trajectory is None:
+        raise InvalidInputError(f"--speed {args.speed:g} goes with --trajectory OUT.csv; give it")
+    args.speed = SLOW_SPEED if args.speed is None else args.speed
     robot = chosen_robot(args)
     scene = Scene("free space", ()) if args.scene is None else read_scene(args.scene)
     start = None if args.start is None else configuration(robot, "--start", args.start)
@@ -108,7 +111,6 @@ OPTIONS: Options = {
     "--speed": option(
         "fraction of the joint limits that --trajectory uses (0.1)",
         type=float,
-        default=SLOW_SPEED,
         metavar="FACTOR",
     ),
     **SEED,

@@ -485,3 +485,17 @@ def test_the_digest_of_a_problem_is_also_of_the_bodies_in_its_robot_file(tmp_pat
         words = [tmp_path / "path.csv", "--problem-file", tmp_path / "p.json", "--json"]
         digests.append(json.loads(cvqmpt("certify", *words))["problem_sha256"])
     assert digests[0] == digests[2] != digests[1]
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (["--clearance", "0.1"], "--clearance goes with a problem; the hand of a task touches"),
+        (["--topic", "/plan"], "--topic goes with"),
+        (["--tolerance", "0.1"], "--tolerance goes with one motion; a task states where"),
+    ],
+)
+def test_the_motions_of_a_task_refuse_options_of_one_motion(tmp_path, capsys, options, told):
+    (tmp_path / "task.json").write_text("{}")
+    words = [tmp_path, "--task-file", DATA / "task-1.json", *options]
+    assert told in refused(capsys, "certify", *words)
