@@ -35,15 +35,18 @@ def message_of_bag(path: Path, topic: str | None = None) -> Any:
             "storage_id mcap"
         )
     last = dict[str, Any]()
+    times = dict[str, int]()
     others = dict[str, str]()
     try:
         for file in files:
             for found in read_ros2_messages(file):
                 kind = found.schema.name.rpartition("/")[2]
-                if kind in motions:
-                    last[found.channel.topic] = found.ros_msg
-                else:
-                    others[found.channel.topic] = kind
+                name, time = found.channel.topic, found.log_time_ns
+                if kind not in motions:
+                    others[name] = kind
+                # the order of files is not that of times: rec_10 comes before rec_2
+                elif time >= times.get(name, time):
+                    last[name], times[name] = found.ros_msg, time
     except (McapError, ValueError, OSError, EOFError) as error:
         raise InvalidInputError(f"cannot read recording {path}: {shown(str(error))}") from error
     if not last:

@@ -35,10 +35,10 @@ uint32 nanosec
 STATES = [[0.0, 1.0], [0.5, 1.5]]
 
 
-def written(path, topics=("/plan",)):
-    """Write a recording with a motion on each topic, and a text on /log."""
+def written(path, topics=("/plan",), states=STATES, time=1):
+    """Write a recording with a motion on each topic at a time [ns], and a text on /log."""
     points = [
-        {"positions": q, "time_from_start": {"sec": k, "nanosec": 0}} for k, q in enumerate(STATES)
+        {"positions": q, "time_from_start": {"sec": k, "nanosec": 0}} for k, q in enumerate(states)
     ]
     message = {"joint_names": ["first", "second"], "points": points}
     with path.open("wb") as file, Writer(file) as writer:
@@ -46,7 +46,7 @@ def written(path, topics=("/plan",)):
         writer.write_message("/log", text, {"data": "ready"}, 0, 0)
         kind = writer.register_msgdef("trajectory_msgs/msg/JointTrajectory", TRAJECTORY)
         for topic in topics:
-            writer.write_message(topic, kind, message, 1, 1)
+            writer.write_message(topic, kind, message, time, time)
     return path
 
 
@@ -58,6 +58,13 @@ def test_a_recording_has_the_motion(tmp_path):
         assert motion.joint_names == ("first", "second") and motion.velocities is None
         np.testing.assert_array_equal(motion.positions, STATES)
         np.testing.assert_array_equal(motion.times, [0.0, 1.0])
+
+
+def test_the_last_message_of_a_bag_is_that_of_the_latest_time(tmp_path):
+    (tmp_path / "metadata.yaml").write_text("rosbag2_bagfile_information: {}\n")
+    for k in (2, 10):
+        written(tmp_path / f"rec_{k}.mcap", states=[[float(k), 0.0], [0.0, 0.0]], time=k)
+    assert read_motion(tmp_path).positions[0, 0] == 10.0
 
 
 @pytest.mark.parametrize(
