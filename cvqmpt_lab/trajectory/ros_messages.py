@@ -13,16 +13,24 @@ from cvqmpt_lab.base.errors import InvalidInputError, mapping, require_choice, s
 def joint_trajectory(message: Mapping[str, Any]) -> Mapping[str, Any]:
     """Return the fields of the `JointTrajectory` in a message; InvalidInputError if it has none.
 
-    Joints without a name of their own, such as the pose of a mobile base, are refused.
+    Joints without a name of their own, such as the pose of a mobile base, are refused, and so are
+    objects that the robot carries at the start.
     """
     if "points" in message:
         return message
-    base = message.get("multi_dof_joint_trajectory")
-    if isinstance(base, Mapping) and base.get("points"):
-        raise InvalidInputError(
-            "multi_dof_joint_trajectory moves a mobile base or a floating joint, which is not "
-            "judged; write its joint_trajectory alone"
-        )
+    # the second name is that of FollowJointTrajectory
+    for key in ("multi_dof_joint_trajectory", "multi_dof_trajectory"):
+        base = message.get(key)
+        if isinstance(base, Mapping) and base.get("points"):
+            raise InvalidInputError(
+                f"{key} moves a mobile base or a floating joint, which is not judged; write the "
+                "trajectory of the joints alone"
+            )
+    start = message.get("trajectory_start")
+    if isinstance(start, Mapping) and start.get("attached_collision_objects"):
+        from cvqmpt_lab.scene.moveit_scenes import refuse_attached  # its meshes take 0.3 s
+
+        refuse_attached(start)
     for key in ("joint_trajectory", "trajectory"):
         held = message.get(key)
         if isinstance(held, list) and held:
@@ -57,12 +65,16 @@ def _joined(parts: list[Mapping[str, Any]]) -> Mapping[str, Any]:
         for number, point in enumerate(part.get("points") or []):
             elapsed = begun + nanoseconds(where, mapping(point, where).get("time_from_start"))
             again = bool(points) and number == 0
-            if again and points[-1].get("positions") != point.get("positions"):
-                raise InvalidInputError(
-                    f"trajectory {k} does not begin where trajectory {k - 1} ends: write each in "
-                    "a file of its own"
-                )
-            if not again:
+            if again:  # this point is left out, so that it must be the one before
+                kinds = ("positions", "velocities", "accelerations")
+                unlike = [x for x in kinds if (points[-1].get(x) or []) != (point.get(x) or [])]
+                if unlike or elapsed != begun:
+                    why = f"it has other {unlike[0]}" if unlike else "its first time is not 0"
+                    raise InvalidInputError(
+                        f"trajectory {k} does not begin where trajectory {k - 1} ends ({why}): "
+                        "write each in a file of its own"
+                    )
+            else:
                 seconds = dict(zip(("sec", "nanosec"), divmod(elapsed, 10**9), strict=True))
                 points.append({**point, "time_from_start": seconds})
         begun = elapsed if part.get("points") else begun

@@ -343,6 +343,12 @@ def _from_value(found: Any) -> Motion:
         known_fields(content, "the trajectory", known)
         motion = _from_points(names, content["points"])
         return replace(motion, limits=_limits(content.get("limits", {}), motion))
+    for other in ("points", "times", "time", "velocities", "accelerations"):
+        if content.get(other):
+            raise InvalidInputError(
+                f"{other!r} beside {key!r} is not read: leave it out, or write a JointTrajectory, "
+                "whose 'points' have times"
+            )
     return Motion(names, _table(content[key]))
 
 

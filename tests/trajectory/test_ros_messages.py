@@ -66,9 +66,26 @@ def test_every_form_of_a_motion_is_read_alike(tmp_path, name):
 BASE = {"joint_trajectory": WHOLE, "multi_dof_joint_trajectory": {"points": [{}]}}
 APART = [PARTS[1], PARTS[0]]
 OTHERS = [PARTS[0], {"joint_trajectory": message(STATES[1:], [0.0, 0.5], ["first", "third"])}]
+MOVING = [PARTS[0], {"joint_trajectory": message(STATES[1:], [0.0, 0.5])}]
+for point in MOVING[1]["joint_trajectory"]["points"]:
+    point["accelerations"] = [500.0, 0.0]
+LATE = [PARTS[0], {"joint_trajectory": message(STATES[1:], [0.25, 0.5])}]
+CARRIED = {"attached_collision_objects": [{"link_name": "hand", "object": {"id": "pole"}}]}
+PATH = {"joint_names": NAMES, "states": STATES}
 REFUSED = {
     "multi_dof_joint_trajectory moves a mobile base": BASE,
-    "trajectory 1 does not begin where trajectory 0 ends": {"trajectory": APART},
+    "multi_dof_trajectory moves a mobile base": {
+        "trajectory": WHOLE,
+        "multi_dof_trajectory": {"points": [{}]},
+    },
+    "trajectory 1 does not begin where trajectory 0 ends .it has other positions": {
+        "trajectory": APART
+    },
+    "trajectory 0 ends .it has other accelerations": {"trajectory": MOVING},
+    "trajectory 0 ends .its first time is not 0": {"trajectory": LATE},
+    "the robot carries pole; remove it": {"trajectory": PARTS, "trajectory_start": CARRIED},
+    "'times' beside 'states' is not read": PATH | {"times": [0.0, 1.0, 2.0]},
+    "'velocities' beside 'path' is not read": {"path": STATES, "velocities": STATES},
     "trajectory 1 moves joints .'first', 'third'.": {"trajectory": OTHERS},
     "its trajectory is empty": {"joint_trajectory": {"joint_names": [], "points": []}},
     "it ends with '...': print it by ros2 topic echo --full-length": {"points": [{}, "..."]},
