@@ -53,9 +53,9 @@ def run(args: argparse.Namespace) -> int:
     if (args.path / "task.json").is_file():
         return _certify_task(args)
     if args.path.is_dir() and not is_bag(args.path):
-        named = ["topic", "tool_speed", "constraint", "tolerance", "problem"]
-        ends = ["start_velocity", "end_velocity", "part"]
-        refuse_given(args, named + ends, "goes with one motion; give its file")
+        of_one = ["topic", "tool_speed", "constraint", "tolerance", "problem"]
+        of_one += ["start_velocity", "end_velocity", "part"]
+        refuse_given(args, of_one, "goes with one motion; give its file")
         of_file = (args.suite, args.problem_file, args.task_file, args.current, args.clearance)
         if any(given is not None for given in of_file) or robot_source(args):
             raise InvalidInputError(

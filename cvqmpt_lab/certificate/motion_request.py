@@ -169,8 +169,8 @@ def _limited(robot: Robot, request: MotionRequest) -> Robot:
     if request.speed < 1.0:
         changed["velocity_limits"] = (request.speed * robot.velocity_limits).tolist()
     if request.acceleration < 1.0 and "acceleration" in robot.limits:
-        limit = request.acceleration * robot.limits["acceleration"]
-        changed["acceleration_limits"] = limit.tolist()
+        slower = request.acceleration * robot.limits["acceleration"]
+        changed["acceleration_limits"] = slower.tolist()
     return robot_from_source({**robot.source, **changed}) if changed else robot
 
 
