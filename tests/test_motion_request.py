@@ -270,13 +270,13 @@ def test_joints_that_the_robot_holds_are_where_the_start_state_says(tmp_path, pr
     called(told, read, locked, 1.5, 0.04)
     # the hand is judged as it is opened, but not against a --lock
     request = read(locked, 0.0, 0.01)
-    assert request.fingers == {"panda_finger_joint1": 0.01}
+    fingers = {"panda_finger_joint1": 0.01, "panda_finger_joint2": 0.01}  # the second one mimics
+    assert request.fingers == fingers
     states = np.zeros((2, 6)) + 0.5
     judged = judge_request(Motion(None, states), request, locked, Scene("none", ()))[0].robot
     assert {joint.name: joint.value for joint in judged.held_joints} == {
         "panda_joint1": 0.0,
-        "panda_finger_joint1": 0.01,
-        "panda_finger_joint2": 0.04,
+        **fingers,
     }
     opened = robot_from_source({"name": "panda", "locked": {"panda_finger_joint1": 0.0}})
     called("holds it at 0: give --lock panda_finger_joint1=0.01", read, opened, 0.0, 0.01)

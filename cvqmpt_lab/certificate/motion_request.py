@@ -160,7 +160,7 @@ def _limited(robot: Robot, request: MotionRequest) -> Robot:
     """Return the robot with the limits that a request asks for, and its opening of the hand."""
     changed: dict[str, Any] = {}
     if request.fingers:
-        changed["locked"] = {**robot.source.get("locked", {}), **request.fingers}
+        changed["locked"] = {**(robot.source.get("locked") or {}), **request.fingers}
     if request.frame_limits:
         limits = dict(robot.frame_limits)
         for name, limit in request.frame_limits.items():
@@ -338,9 +338,10 @@ def _fingers(values: Mapping[str, float], robot: Robot) -> dict[str, float]:
         for name, value in values.items()
         if name in held and abs(value - held[name]) > 1e-6
     }
-    fingers = {joint.name for joint in gripper_joints(robot)} if other else set()
     # what is locked by the user is where the user says
-    fingers -= robot.source.get("locked", {}).keys()
+    locked = robot.source.get("locked") or {}
+    gripper = gripper_joints(robot) if other else []
+    fingers = {joint.name: joint for joint in gripper if joint.name not in locked}
     for name, value in other.items():
         if name not in fingers:
             raise InvalidInputError(
@@ -353,6 +354,9 @@ def _fingers(values: Mapping[str, float], robot: Robot) -> dict[str, float]:
             f"start_state has joint {shown(unknown[0])}, which {robot.name} lacks: give the robot "
             "that was planned, with all of its parts"
         )
+    for joint in fingers.values():
+        if joint.mimics in other and joint.name not in values:
+            other[joint.name] = joint.multiplier * other[joint.mimics] + joint.offset
     return other
 
 
