@@ -177,7 +177,7 @@ def _certify_task(args: argparse.Namespace) -> int:
         lines += [line for line in report_lines(found, records[-1]) if line.startswith(kept)]
     valid = sum(contents["valid"] for contents in records)
     whole = valid == len(records)
-    seconds = sum(float(motion.times[-1]) for motion in motions if motion.times is not None)
+    seconds = sum(float(np.ptp(motion.times)) for motion in motions if motion.times is not None)
     lines.append(
         f"task        {valid} of {len(records)} phases of {task.name} are certified, {seconds:.2f} "
         f"s of motion{share_text(uses)}"

@@ -67,22 +67,19 @@ class Evidence:
         for row in filter(attrgetter("made"), self.rows):
             problem = row.item if of_tasks else row.problem
             found.setdefault(row.planner, {}).setdefault((problem, row.seed), []).append(row)
-        if not of_tasks:
-            return found
+        counted = _timed_phases if of_tasks else tuple
         return {
-            planner: {key: timed for key, rows in runs.items() if (timed := _timed_phases(rows))}
+            planner: {key: kept for key, rows in runs.items() if (kept := counted(rows))}
             for planner, runs in found.items()
         }
 
 
 def _timed_phases(task: Rows) -> Rows:
     """Return the rows of the phases that the paper times; none if another phase failed."""
-    timed, others = [], []
-    for row in task:
-        (timed if split_problem(row.problem).phase in PAPER_PHASES else others).append(row)
-    failed = (row for row in others if not row.solved)
-    untimed_failure = any(row.fail_reason is not FailReason.NOT_REACHED for row in failed)
-    return [] if untimed_failure else timed
+    timed = [row for row in task if split_problem(row.problem).phase in PAPER_PHASES]
+    others = [row for row in task if row not in timed and not row.solved]
+    untimed_failure = any(row.fail_reason is not FailReason.NOT_REACHED for row in others)
+    return () if untimed_failure else timed
 
 
 @dataclass(frozen=True, kw_only=True)

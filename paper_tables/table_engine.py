@@ -265,23 +265,22 @@ def cells_of(
     """
     column = found[0].columns[name]
     cells = [(cell or column.cell)(item.measured[name]) for item in found]
-    sizes = [item.n_problems for item in found]
-    numbers = [
-        item.measured[name].estimate if size == max(sizes) else None
-        for item, size in zip(found, sizes, strict=True)
-    ]
+    numbers = [item.measured[name].estimate for item in found]
     known = [x for x in numbers if x is not None and math.isfinite(x)]
-    if not known or column.best == "none":
+    most = max(item.n_problems for item in found)
+    whole = [item.n_problems == most for item in found]
+    compared = [x for x, every in zip(numbers, whole, strict=True) if every and x in known]
+    if not compared or column.best == "none":
         return cells
-    best = min(known) if column.best == "least" else max(known)
+    best = min(compared) if column.best == "least" else max(compared)
     values = [text.partition(" ")[0] for text in cells]
     shown = values[numbers.index(best)]
-    winners = [
-        value == shown and own is not None for value, own in zip(values, numbers, strict=True)
-    ]
-    if 2 * sum(winners) > len(known) or (isinstance(column.label, Ratio) and best >= 1.0):
+    if 2 * values.count(shown) > len(known) or (isinstance(column.label, Ratio) and best >= 1.0):
         return cells
-    return [bold(text) if won else text for text, won in zip(cells, winners, strict=True)]
+    return [
+        bold(text) if value == shown and every else text
+        for text, value, every in zip(cells, values, whole, strict=True)
+    ]
 
 
 def column_lines(found: Sequence[Entry], names: Iterable[str]) -> Lines:

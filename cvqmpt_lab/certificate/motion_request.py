@@ -299,7 +299,7 @@ def _start(state: Any, robot: Robot) -> tuple[dict[str, float], dict[str, float]
     if len(names) != len(values):
         raise InvalidInputError(f"{where} has {len(names)} names and {len(values)} positions")
     for rate in listed(joints.get("velocity"), f"{where}.velocity"):
-        if _number(rate, f"{where}.velocity"):
+        if abs(_number(rate, f"{where}.velocity")) > 0.01:  # measured at rest, it is not 0
             raise InvalidInputError(
                 f"{where}.velocity is {shown(joints['velocity'])}, but motions are judged from "
                 "rest; leave it empty, or judge by a problem file with --start-velocity"
