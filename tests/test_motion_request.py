@@ -211,6 +211,10 @@ WRONG = {
 
 
 def test_an_object_that_is_no_request_is_refused(tmp_path, problem):
+    for empty in ({}, {"motion_plan_request": {}}):
+        (tmp_path / "r.json").write_text(json.dumps(empty))
+        with pytest.raises(InvalidInputError, match="the request is empty: any motion"):
+            read_request(tmp_path / "r.json", problem.robot)
     (tmp_path / "r.json").write_text(json.dumps({"robot": {"name": "panda"}, "scene": {}}))
     with pytest.raises(InvalidInputError, match="unknown key of the request 'robot'; valid"):
         read_request(tmp_path / "r.json", problem.robot)

@@ -221,6 +221,8 @@ def _request(message: Any, robot: Robot) -> MotionRequest:
             known_fields(fields, "the message", (key, "planning_options"))
             _refuse_diff(field_of(fields.get("planning_options"), "planning_scene_diff"))
             return _request(fields[key], robot)
+    if not fields:
+        raise InvalidInputError("the request is empty: any motion would meet it")
     if "goal_constraints" not in fields and "path_constraints" not in fields:
         return MotionRequest(path=_conditions(fields, robot, ""))
     unused = (
