@@ -202,10 +202,11 @@ def with_tool_speed(args: argparse.Namespace, robot: Robot) -> Robot:
     """Return the robot with --tool-speed for its end effectors; without W their own one stays."""
     if args.tool_speed is None:
         return robot
+    speed, *turning = args.tool_speed
     limits = dict(robot.frame_limits)
     for name in robot.end_effectors:
         own = limits[name].turning_speed if name in limits else None
-        limits[name] = FrameLimit(*[*args.tool_speed, own][:2])
+        limits[name] = FrameLimit(speed, turning[0] if turning else own)
     return with_frame_limits(robot, limits)
 
 

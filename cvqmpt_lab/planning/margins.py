@@ -142,7 +142,10 @@ def solve_keeping(
     margin: Margin,
     **options: Any,
 ) -> tuple[Solution, Kept]:
-    """Return the solution as `solve_with_margin`, and the margin as numbers."""
+    """Return the solution as `solve_with_margin`, and the margin as numbers.
+
+    Args: see `solve_with_margin`.
+    """
     margin.check()
     if margin == NO_MARGIN:
         return solve(problem, method, budget, seed, **options), Kept(None, margin)
