@@ -28,7 +28,13 @@ from cvqmpt_lab.paper_tables.statements import CBIRRT, IN_OMPL, UNIFORM, Publish
 from cvqmpt_lab.paper_tables.table_engine import Column, SuiteTable
 from cvqmpt_lab.paper_tables.writers import Ratio
 from cvqmpt_lab.results.row import ResultRow
-from cvqmpt_lab.results.statistics import CONFIDENCE, UNDEFINED, Interval, jointly_solved
+from cvqmpt_lab.results.statistics import (
+    CONFIDENCE,
+    UNDEFINED,
+    Interval,
+    jointly_solved,
+    problem_key,
+)
 
 PAPER_CUTOFF_S = 100.0
 
@@ -70,6 +76,16 @@ def means_ratio(baseline: str, value: Value, cutoff: float | None) -> Measure:
     return measure
 
 
+def joint_mean(value: str) -> Measure:
+    """Return the mean over the joint problems; undefined for a planner that solved not all."""
+
+    def measure(rows: Rows, runs: SuiteRuns) -> Interval:
+        every = {problem_key(row) for row in rows if row.solved}.issuperset(runs.joint)
+        return mean_of(value, "joint")(rows, runs) if every else UNDEFINED
+
+    return measure
+
+
 def _ratios(label: str, value: str, cutoff: float | None = None) -> dict[str, Column]:
     """Return the columns of a value's ratios to CBiRRT and to uniform samples."""
     return {
@@ -90,11 +106,11 @@ PYBULLET_COLUMNS = {
     **_ratios("cost", "search_cost_pybullet", PAPER_CUTOFF_S),
 }
 LENGTH_COLUMNS = {
-    "raw_length_mean": Column("raw [rad]", "rad", mean_of("raw_length", "joint")),
+    "raw_length_mean": Column("raw [rad]", "rad", joint_mean("raw_length")),
     "ompl_length_mean": Column(
-        "simplified by OMPL [rad]", "rad", mean_of("ompl_length", "joint"), "path_length"
+        "simplified by OMPL [rad]", "rad", joint_mean("ompl_length"), "path_length"
     ),
-    "path_length_mean": Column("ours [rad]", "rad", mean_of("path_length", "joint")),
+    "path_length_mean": Column("ours [rad]", "rad", joint_mean("path_length")),
     **_ratios("simplified by OMPL", "ompl_length"),
 }
 COUNT_COLUMNS = {

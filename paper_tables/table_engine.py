@@ -269,7 +269,11 @@ def cells_of(
     known = [x for x in numbers if x is not None and math.isfinite(x)]
     most = max(item.n_problems for item in found)
     whole = [item.n_problems == most for item in found]
-    compared = [x for x, every in zip(numbers, whole, strict=True) if every and x in known]
+    compared = [
+        x
+        for x, every in zip(numbers, whole, strict=True)
+        if every and x is not None and math.isfinite(x)
+    ]
     if not compared or column.best == "none":
         return cells
     best = min(compared) if column.best == "least" else max(compared)

@@ -262,3 +262,20 @@ def test_the_readmes_sentences_have_the_numbers_of_the_rows():
     )
     means.append(np.divide(*columns(suite, "ompl-opt-cvq", "ompl-cvq", cost).mean(axis=1)))
     assert told[:6] == pytest.approx(means, abs=0.006)
+
+
+def test_mean_lengths_are_of_the_same_problems_for_all_planners():
+    """Those of MPNet, which solves few problems, stood beside means over others."""
+    folder = RESULTS / "place-task-published"
+    solved = {}
+    with (folder / "runs.csv").open(newline="") as handle:
+        for row in csv.DictReader(handle):
+            if row["path_length_ompl_rad"] and row["solved"] == "true":
+                solved.setdefault(row["planner"], set()).add(row["problem"])
+    joint = len(set.intersection(*solved.values()))
+    with (folder / "table.csv").open(newline="") as handle:
+        means = {
+            x["planner"]: x for x in csv.DictReader(handle) if x["metric"] == "raw_length_mean"
+        }
+    assert means.pop("ompl-mpnet")["value"] == "" and means.keys() == solved.keys()
+    assert {int(line["n"]) for line in means.values()} == {joint}
