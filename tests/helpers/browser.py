@@ -109,12 +109,16 @@ class Tab:
         )
 
     def place(self, text, beside=None):
-        """Return `middle` of an element as soon as it is there and does not move."""
+        """Return `middle` of an element as soon as it is there and does not move.
+
+        A folder that opens moves it, but not in 0.1 s where the machine is busy.
+        """
 
         def resting():
             before = self.middle(text, beside)
             time.sleep(0.1)
-            return before if before == self.middle(text, beside) else None
+            moving = self.value("document.getAnimations().length")
+            return before if not moving and before == self.middle(text, beside) else None
 
         return until(resting)
 

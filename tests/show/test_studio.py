@@ -421,6 +421,7 @@ def test_a_mouse_moves_a_drawer_and_a_joint_undoes_both_and_saves(page, tmp_path
         shift = moved[f"{name}/front_panel"][:3, 3] - T[:3, 3]
         assert shift[2] > 0.05 and shift[:2] == pytest.approx([0.0, 0.0])
         tab.click("undo", lambda: not live.request.moved)
+        live.wait()
         until(lambda: "certified" in tab.text())  # after which nothing moves on the panel
         joint, before = live.problem.robot.joint_names[-1], live.problem.start[-1]
         tab.click("joints of the start [rad or m]", lambda: tab.middle(joint, "[role=slider]"))
