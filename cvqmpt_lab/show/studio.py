@@ -335,7 +335,7 @@ class StudioPage:
             if "start" not in self._dragged:
                 asked = request.start if request.posture is None else None
                 _place(self._gizmos["start"], first if asked is None else asked)
-            if request.posture is None:
+            if self.live.request.posture is None:  # else a joint was moved after this request
                 for joint, value in zip(self._joints, problem.start.tolist(), strict=True):
                     joint.value = min(max(round(value, 3), joint.min), joint.max)
             if "goal" not in self._dragged:
