@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from cvqmpt_lab.base.jit import folder
+
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("cvqmpt_lab", "cli", "experiments", "paper_tables")
 DATA = (
@@ -53,6 +55,11 @@ def test_it_holds_every_module_and_all_data(site):
 def test_it_installs_no_other_name_than_the_package(site):
     installed = {path.name for path in site.iterdir() if not path.name.endswith(".dist-info")}
     assert installed == {"bin", "cvqmpt_lab"}
+
+
+def test_it_finds_the_machine_code_that_the_checkout_compiled(site, tmp_path):
+    found = run(site, tmp_path, ["-c", "from cvqmpt_lab.base import jit; print(jit.folder())"])
+    assert found.stdout.strip() == str(folder())
 
 
 def test_it_plans_from_an_empty_folder(site, tmp_path):

@@ -59,12 +59,14 @@ SCALAR_TYPES: dict[Any, types.Type] = {
     bool: types.boolean,
     Pointer: types.CPointer(types.float64),
 }
-# A wheel must find the same files as a check-out, where cli, experiments and paper_tables are links
-# that are not followed: no file of these folders may name this module in full.
+PACKAGE = Path(__file__).parents[1]
+# links in a checkout, folders in a wheel: without them, both have the same digest
+LINKED = {"cli", "experiments", "paper_tables"}
 KERNEL_FILES = [
     file
-    for file in sorted(Path(__file__).parents[1].rglob("*.py"))
-    if b"cvqmpt_lab.base.jit" in file.read_bytes()
+    for file in sorted(PACKAGE.rglob("*.py"))
+    if file.relative_to(PACKAGE).parts[0] not in LINKED
+    and b"cvqmpt_lab.base.jit" in file.read_bytes()
 ]
 # digest of all files with kernels: numba does not notice a change of a function that is called
 KERNELS_DIGEST = sources_digest(*KERNEL_FILES)
@@ -103,9 +105,8 @@ def compiled_before() -> bool:
 
 def entries() -> list["Entry"]:
     """Return every entry of the package, always in the same order; its modules are imported."""
-    package = Path(__file__).parents[1]
     modules = [
-        ".".join(file.relative_to(package.parent).with_suffix("").parts) for file in KERNEL_FILES
+        ".".join(file.relative_to(PACKAGE.parent).with_suffix("").parts) for file in KERNEL_FILES
     ]
     for module in modules:
         import_module(module)
