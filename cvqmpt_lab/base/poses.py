@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from cvqmpt_lab.base.codec import from_plain
-from cvqmpt_lab.base.errors import InvalidInputError
+from cvqmpt_lab.base.errors import InvalidInputError, known_fields
 from cvqmpt_lab.base.values import FULL_TURN_RAD, MAX_LENGTH_M, Array, FloatArray
 
 
@@ -63,9 +63,13 @@ def rotation_of_rpy(roll: float, pitch: float, yaw: float) -> list[list[float]]:
 
 
 def ros_vector(value: Any) -> Any:
-    """Return ROS's {x, y, z} or {x, y, z, w} as a list; any other value unchanged."""
+    """Return ROS's {x, y, z} or {x, y, z, w} as a list; a value that is no mapping unchanged.
+
+    Other keys, such as angles in place of a quaternion, are refused by name.
+    """
     if not isinstance(value, Mapping):
         return value
+    known_fields(value, "a vector or quaternion", "xyzw")
     return [value[axis] for axis in "xyzw" if axis in value]
 
 

@@ -17,6 +17,7 @@ from cvqmpt_lab.base.errors import (
     InvalidInputError,
     UnknownChoiceError,
     at,
+    known_fields,
     located,
     mapping,
     require_choice,
@@ -120,7 +121,7 @@ def _pieces(vertices: FloatArray, triangles: FloatArray) -> Iterator[ConvexMesh]
 def _matrix(position: Any, orientation: Any) -> FloatArray:
     """Return a pose (4, 4); orientation: quaternion x, y, z, w, zeros for identity as in MoveIt."""
     turn = numbers(orientation, "orientation", "4 numbers, a quaternion x, y, z, w")
-    quaternion = turn if turn.any() else [0.0, 0.0, 0.0, 1.0]
+    quaternion = turn.tolist() if turn.any() or turn.shape != (4,) else [0.0, 0.0, 0.0, 1.0]
     return from_plain(Placement, {"xyz": position, "quaternion": quaternion}, "pose").matrix
 
 
@@ -348,7 +349,7 @@ def _mesh(item: Any, path: Path) -> Iterator[Shape]:
 
 def read_pose(value: Any) -> FloatArray:
     """Return the matrix (4, 4) of a Pose message."""
-    fields = mapping(value, "pose", "position, orientation")
+    fields = known_fields(value, "pose", ("position", "orientation"))
     turn = fields.get("orientation", [0, 0, 0, 1])
     return _matrix(ros_vector(fields.get("position")), ros_vector(turn))
 

@@ -13,7 +13,14 @@ from typing import Any
 import numpy as np
 
 from cvqmpt_lab.base.codec import from_plain, to_plain
-from cvqmpt_lab.base.errors import InvalidInputError, located, mapping, shown, whole_number
+from cvqmpt_lab.base.errors import (
+    InvalidInputError,
+    known_fields,
+    located,
+    mapping,
+    shown,
+    whole_number,
+)
 from cvqmpt_lab.base.files import json_value, write_bytes, write_text, yaml_value
 from cvqmpt_lab.base.poses import Placement, Pose, PoseForm, rigid, ros_vector
 from cvqmpt_lab.base.values import Array, FloatArray
@@ -278,7 +285,13 @@ def _of_message(data: Mapping[str, Any]) -> Any:
     names = set(data)
     for position, turn in (("translation", "rotation"), ("position", "orientation")):
         if position in names:
-            data = {"xyz": ros_vector(data[position]), "quaternion": ros_vector(data.get(turn))}
+            # a rotation in another form, or a unit, would be left out
+            known_fields(data, "the pose", (position, turn, "header", "frame_id", "child_frame_id"))
+            if turn not in names:
+                raise InvalidInputError(
+                    f"it has {position!r} without {turn!r}; give the quaternion x, y, z, w"
+                )
+            data = {"xyz": ros_vector(data[position]), "quaternion": ros_vector(data[turn])}
             return from_plain(Placement, data, "T_world_camera").matrix
     if names == {"x", "y", "z", "qx", "qy", "qz", "qw"}:
         data = {"xyz": [data[k] for k in "xyz"], "quaternion": [data[f"q{k}"] for k in "xyzw"]}

@@ -115,6 +115,22 @@ def test_unsupported_shapes_and_operations_are_named(tmp_path, change, message):
     refused(f"object 'can': {message}", read, tmp_path, [CAN | change], ".yaml")
 
 
+@pytest.mark.parametrize(
+    ("turn", "message"),
+    [
+        ({"rpy": [0, 0, 1.57]}, "unknown key of pose 'rpy'; valid choices: position, orientation"),
+        ({"orientation": {"roll": 1.57}}, "unknown key of a vector or quaternion 'roll'; valid"),
+        ({"orientation": []}, r"quaternion is \[\]; it must be a list of 4"),
+        ({"orientation": [0, 0, 0]}, r"quaternion is .*; it must be a list of 4"),
+    ],
+)
+def test_a_rotation_that_is_not_read_is_refused(tmp_path, turn, message):
+    """Objects were read as if they were not rotated."""
+    there = {"position": [0, 0, 1], **turn}
+    refused(message, read, tmp_path, [CAN | {"primitive_poses": [there]}], ".yaml")
+    refused(message, read, tmp_path, [CAN | {"pose": there}], ".yaml")
+
+
 def test_a_scene_with_content_that_cannot_be_converted_is_refused(tmp_path):
     world = {"collision_objects": [CAN]}
     attached = {"attached_collision_objects": [{"link_name": "hand", "object": CAN}]}

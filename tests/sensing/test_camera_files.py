@@ -129,6 +129,22 @@ def test_a_camera_beyond_100_m_is_refused_or_is_in_the_unit_of_the_points(tmp_pa
     refused("more than 100", read_extrinsics, path, 0.001)
 
 
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"rpy": [3.14, 0.0, 0.0]}, "unknown key of the pose 'rpy'; valid choices: tra"),
+        ({"rotation": ROTATION, "unit": "mm"}, "unknown key of the pose 'unit'"),
+        ({"rotation": {"roll": 3.14}}, "unknown key of a vector or quaternion 'roll'"),
+        ({}, "it has 'translation' without 'rotation'; give the quaternion"),
+    ],
+)
+def test_a_rotation_that_is_not_read_is_refused(change, message, tmp_path):
+    """The camera was read as one that is not rotated, so that all points were elsewhere."""
+    path = tmp_path / "pose.json"
+    path.write_text(json.dumps({"translation": [0.1, -0.5, 0.9], **change}))
+    refused(message, read_extrinsics, path)
+
+
 @pytest.mark.parametrize("row", table("wrong_cameras"), ids=lambda row: row["pattern"])
 def test_bad_files_are_refused_by_field_in_one_line(row, tmp_path):
     read = {"intrinsics": read_intrinsics, "extrinsics": read_extrinsics}[row["kind"]]
