@@ -39,6 +39,11 @@ MOVEIT_SOLIDS: Mapping[str, tuple[int, Callable[..., Shape]]] = {
 }
 """Number of sizes of a solid, (x, y, z) or (radius, height) [m], and function from them to it."""
 MOVEIT_SHAPES = (*MOVEIT_SOLIDS, "mesh")
+OBJECT_FIELDS = (
+    *("id", "pose", "primitives", "primitive_poses", "meshes", "mesh_poses"),
+    *("planes", "plane_poses", "header", "type", "operation", "subframe_names", "subframe_poses"),
+)
+"""Fields of a CollisionObject. Others, such as a scale, are refused: they would be left out."""
 
 
 def read_moveit_scene(path: Path | str) -> tuple[Scene, str]:
@@ -87,6 +92,7 @@ def _scene(
         )
         of = str(fields.get("id", "")).strip()
         with located(f"object {shown(of)}"):
+            known_fields(fields, "an object", OBJECT_FIELDS)
             pieces = list(_pieces_of(fields, path))
             if not pieces:
                 raise InvalidInputError("it has no shape; give 'primitives' or 'meshes'")
@@ -310,7 +316,7 @@ def _pieces_of(fields: Mapping[str, Any], path: Path) -> Iterator[tuple[Shape, F
 
 def read_primitive(item: Any) -> Shape:
     """Return the shape of a SolidPrimitive message."""
-    fields = mapping(item, "primitive", "type, dimensions")
+    fields = known_fields(item, "primitive", ("type", "dimensions", "polygon"))
     given = fields.get("type")
     kind = str(given).lower()
     if isinstance(given, int):
@@ -330,6 +336,7 @@ def read_primitive(item: Any) -> Shape:
 def _mesh(item: Any, path: Path) -> Iterator[Shape]:
     fields = mapping(item, "mesh", "vertices, triangles, or resource")
     if "resource" not in fields:
+        known_fields(fields, "mesh", ("vertices", "triangles"))
         faces = listed(fields.get("triangles"), "triangles")
         corners = [field_of(one, "vertex_indices") or one for one in faces]
         vertices = [ros_vector(one) for one in listed(fields.get("vertices"), "vertices")]
@@ -338,6 +345,7 @@ def _mesh(item: Any, path: Path) -> Iterator[Shape]:
             numbers(corners, "triangles", "3 numbers of vertices").reshape(-1, 3),
         )
         return
+    known_fields(fields, "mesh", ("resource", "dimensions"))
     name = str(fields["resource"])
     scales = set(numbers(fields.get("dimensions", 1.0), "dimensions", "scales").ravel().tolist())
     if len(scales) != 1:

@@ -109,6 +109,23 @@ def test_settings_of_links_are_refused_by_name(tmp_path, caplog):
         ({"primitive_poses": []}, "1 primitives and 0 primitive_poses"),
         ({"primitives": [], "primitive_poses": []}, "it has no shape; give 'primitives'"),
         ({"operation": 1}, "operation 1; only objects that are added"),
+        ({"scale": [2, 2, 2]}, "unknown key of an object 'scale'; valid choices: id, pose, prim"),
+        ({"mesh": [{}]}, "unknown key of an object 'mesh'; .* did you mean 'meshes'"),
+        (
+            {"primitives": [{"type": "cylinder", "dimensions": [1, 1], "scale": 2}]},
+            "unknown key of primitive 'scale'; valid choices: type, dim",
+        ),
+        (
+            {"meshes": [{"resource": "a.stl", "scale": 2}], "mesh_poses": CAN["primitive_poses"]},
+            "unknown key of mesh 'scale'; valid choices: resource, dim",
+        ),
+        (
+            {
+                "meshes": [TETRAHEDRON["meshes"][0] | {"dimensions": [9, 9, 9]}],
+                "mesh_poses": CAN["primitive_poses"],
+            },
+            "unknown key of mesh 'dimensions'; valid choices: vertices, tri",
+        ),
     ],
 )
 def test_unsupported_shapes_and_operations_are_named(tmp_path, change, message):
