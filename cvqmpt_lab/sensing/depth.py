@@ -155,6 +155,17 @@ def read_intrinsics(path: Path | str) -> Intrinsics:
         return _intrinsics(data)
 
 
+# fields beside the matrix of a camera's constants; others, such as a distortion of another name,
+# are refused: they would be left out
+MATRIX_FIELDS = (
+    *("width", "height", "image_width", "image_height", "camera_matrix", "K", "k"),
+    *("intrinsic_matrix", "distortion_coefficients", "D", "d", "roi", "binning_x", "binning_y"),
+    *("projection_matrix", "P", "p", "rectification_matrix", "R", "r", "depth_scale"),
+    *("header", "camera_name", "distortion_model", "device_name", "serial_number", "fps"),
+    *("color_format", "depth_format", "color_mode", "depth_mode", "stream_length_usec"),
+)
+
+
 def _intrinsics(data: Any) -> Intrinsics:
     forms = (
         "width, height, fx, fy, cx, cy, or width, height and camera_matrix (ROS), K or "
@@ -166,6 +177,13 @@ def _intrinsics(data: Any) -> Intrinsics:
     )
     if name is None:
         return from_plain(Intrinsics, fields)
+    known_fields(fields, f"intrinsics with {name}", MATRIX_FIELDS)
+    # units per metre (Open3D) or metres per unit: both mean millimetres, as a 16-bit image does
+    if (depth_scale := fields.get("depth_scale", 1000)) not in (1000, 0.001):
+        raise InvalidInputError(
+            f"depth_scale is {shown(depth_scale)}, which is not read: remove it, and give --scale, "
+            "the length of one unit [m]"
+        )
     distortion = next(
         (fields[d] for d in ("distortion_coefficients", "D", "d") if d in fields), None
     )
@@ -187,12 +205,28 @@ def _intrinsics(data: Any) -> Intrinsics:
         raise InvalidInputError(
             f"{name} is {K.tolist()}; it must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]"
         )
+    _refuse_other_projection(fields, K, name)
     width, fx, cx = _side(fields, "width", "x", K[0, 0], K[0, 2])
     height, fy, cy = _side(fields, "height", "y", K[1, 1], K[1, 2])
     named = {"width": width, "height": height, "fx": fx, "fy": fy, "cx": cx, "cy": cy}
     changed = (fx, fy, cx, cy) != (K[0, 0], K[1, 1], K[0, 2], K[1, 2])
     with located("with its roi and binning" if changed else ""):
         return from_plain(Intrinsics, named)
+
+
+def _refuse_other_projection(fields: Mapping[str, Any], K: FloatArray, name: str) -> None:
+    """Refuse a P that differs from K: a rectified image has the constants of P, a raw one of K."""
+    known = (key for key in ("projection_matrix", "P", "p") if fields.get(key) is not None)
+    for key in known:
+        listed = np.ravel(np.asarray(_listed(fields[key]), dtype=object)).tolist()
+        P = Array((12,), "numbers, row after row").read(listed, key).reshape(3, 4)[:, :3]
+        # zeros stand for a matrix that is not known
+        if P.any() and not np.allclose(P, K, rtol=1e-3, atol=0.1):
+            raise InvalidInputError(
+                f"{key} is {P.tolist()}, but {name} is {K.tolist()}: a rectified image has the "
+                f"first, a raw one the second; leave {key} out, or give width, height, fx, fy, cx, "
+                "cy of the rectified image"
+            )
 
 
 def _side(

@@ -64,6 +64,31 @@ def test_region_of_interest_and_binning_of_a_camera_info_are_applied(tmp_path):
     refused("roi.x_offset is 100, but roi.width is 0; give both", read_intrinsics, path)
 
 
+P = [525.0, 0.0, 319.5, 0.0, 0.0, 526.0, 239.5, 0.0, 0.0, 0.0, 1.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("field", "message"),
+    [
+        ({"dist": [0.1, 0.2]}, "unknown key of intrinsics with K 'dist'; valid choices: width"),
+        ({"fx": 500.0}, "unknown key of intrinsics with K 'fx'"),
+        ({"depth_scale": 0.0001}, "depth_scale is 0.0001, which is not read: remove it, .*--scale"),
+        ({"P": [400.0, *P[1:]]}, r"P is \[\[400.0, .*, but K is \[\[525.0, .* leave P out"),
+    ],
+)
+def test_fields_that_would_be_left_out_are_refused(field, message, tmp_path):
+    """They were left out without a word, and points were elsewhere."""
+    path = tmp_path / "lens.json"
+    path.write_text(json.dumps({**SIZE, "K": K, **field}))
+    refused(message, read_intrinsics, path)
+
+
+@pytest.mark.parametrize("field", [{"P": P}, {"P": [0.0] * 12}, {"depth_scale": 1000.0}])
+def test_fields_that_change_nothing_are_no_error(field, tmp_path):
+    (tmp_path / "lens.json").write_text(json.dumps({**SIZE, "K": K, "R": [0.0] * 9, **field}))
+    assert vars(read_intrinsics(tmp_path / "lens.json")).items() >= PLAIN.items()
+
+
 TURN = Rotation.from_euler("xyz", (-2.0, 0.1, 0.3))
 T = np.eye(4)
 T[:3, :3], T[:3, 3] = TURN.as_matrix(), (0.1, -0.5, 0.9)
