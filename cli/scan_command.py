@@ -143,6 +143,22 @@ def _obstacles_of(args: argparse.Namespace, made: Scan, arm: Arm | None) -> Scen
     return made.scene(occupancy_map(made.points, settings, made.captures, arm))
 
 
+def _refuse_gaps(args: argparse.Namespace) -> None:
+    """Refuse voxels so large that neighbouring points make obstacles with gaps between them."""
+    named, size = (
+        ("--map", args.map or MAP_RESOLUTION_M)
+        if args.radius is None
+        else ("--radius", args.radius)
+    )
+    width = size + 2.0 * args.padding if args.radius is None else 2.0 * size
+    if args.voxel > width:
+        raise InvalidInputError(
+            f"--voxel {args.voxel:g} leaves one point in {args.voxel:g} m, and {named} {size:g} "
+            f"makes obstacles of it that are {width:g} m wide: surfaces would have gaps; give "
+            f"--voxel {width:g} or less, or a larger {named}"
+        )
+
+
 def _each(option: str, given: Sequence[Path], files: Sequence[Path]) -> Sequence[Path | None]:
     """Return a value for each file, which are all given or all None."""
     if given and len(given) != len(files):
@@ -202,6 +218,7 @@ def motion_problem(args: argparse.Namespace) -> PlanningProblem:
     elif not args.cloud:
         scene = Scene("free space", ())
     else:
+        _refuse_gaps(args)
         arm = arm_of(args, robot, start)
         scene = scene_of(args, scanned(args, arm), robot, arm)
         refuse_touching(scene, Arm(robot, start))
@@ -289,6 +306,8 @@ def _constraint(text: str, robot: Robot, start: np.ndarray) -> Member:
 def run(args: argparse.Namespace) -> None:
     """Read and clean a scan, report on it and write files."""
     robot = chosen_robot(args)
+    if any(path.suffix == ".json" for path in args.out):
+        _refuse_gaps(args)
     arm = None if args.arm_at is None else Arm(robot, configuration(robot, "--arm-at", args.arm_at))
     made = scan_of(args, args.files, robot, arm)
     scene = scene_of(args, made, robot, arm)

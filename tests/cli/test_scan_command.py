@@ -93,6 +93,29 @@ def test_an_unknown_file_becomes_a_certified_path_in_one_command(
     assert "robot " in said.err
 
 
+@pytest.mark.parametrize(
+    ("size", "message"),
+    [
+        (
+            [],
+            r"--voxel 0.1 leaves one point in 0.1 m, and --map 0.02 .* 0.02 m wide: .*--voxel 0.0",
+        ),
+        (["--padding", 0.02], "obstacles of it that are 0.06 m wide: surfaces would have gaps"),
+        (["--radius", 0.03], "and --radius 0.03 makes obstacles .* or a larger --radius"),
+    ],
+)
+def test_voxels_larger_than_the_obstacles_are_refused(scan_folder, tmp_path, size, message, capsys):
+    """A wall became separate cells of 2 cm, 10 cm apart, between which an arm could pass."""
+    words = [scan_folder / "cloud.ply", "--voxel", 0.1, *size]
+    assert re.search(message, refused(capsys, "scan", *words, "--out", tmp_path / "a.json"))
+    words[0:1] = [f"--start={START}", f"--goal={GOAL}", "--cloud", scan_folder / "cloud.ply"]
+    assert re.search(message, refused(capsys, "plan", *words))
+
+
+def test_a_cloud_may_be_written_with_large_voxels(scan_folder, tmp_path, cvqmpt):
+    cvqmpt("scan", scan_folder / "cloud.ply", "--voxel", 0.1, "--out", tmp_path / "a.pcd")
+
+
 def test_a_network_may_be_shown_the_scan_beside_a_suite(scan_folder, camera, capsys):
     words = ["--cloud", scan_folder / "depth.png", *camera, "--iterations", 1]
     run_here(["plan", "place-task", *words], code=2)
