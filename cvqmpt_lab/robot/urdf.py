@@ -435,21 +435,6 @@ def one_coordinate_a_joint(urdf: Urdf) -> ElementTree.Element:
     return root
 
 
-def collada_unit(data: bytes) -> float:
-    """Return the unit [m] that a COLLADA file states, 1 without one; refuse one that is not > 0."""
-    stated = re.search(rb"<unit\b[^>]*\bmeter\s*=\s*[\"']([^\"']*)", data)
-    if stated is None:
-        return 1.0
-    try:
-        unit = float(stated[1])
-    except ValueError:
-        unit = math.nan
-    if not 0.0 < unit < math.inf:
-        text = stated[1].decode(errors="replace")
-        raise InvalidInputError(f"its unit is {shown(text)} m; give a positive number")
-    return unit
-
-
 class NumbersOf(NamedTuple):
     """Numbers that an attribute of a collision body or joint must have."""
 

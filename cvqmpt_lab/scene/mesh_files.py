@@ -8,6 +8,7 @@ small and the cut goes through empty space. The solid volume is measured on a gr
 """
 
 import io
+import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -18,7 +19,7 @@ import trimesh
 from scipy import ndimage
 from scipy.spatial import ConvexHull
 
-from cvqmpt_lab.base.errors import InvalidInputError
+from cvqmpt_lab.base.errors import InvalidInputError, shown
 from cvqmpt_lab.base.values import FloatArray
 from cvqmpt_lab.geometry.convex import (
     box_corners,
@@ -29,7 +30,7 @@ from cvqmpt_lab.geometry.convex import (
     require_volume,
     thickness,
 )
-from cvqmpt_lab.robot.urdf import collada_unit
+from cvqmpt_lab.robot.collada import collada_unit
 from cvqmpt_lab.scene.cloud_files import check_lengths, parsing, read_by_suffix
 from cvqmpt_lab.scene.shapes import MIN_THICKNESS_M
 
@@ -357,10 +358,12 @@ def read_triangles(path: Path | str) -> FloatArray:
 
 def _triangles(kind: str, data: bytes) -> FloatArray:
     """Return the triangles (f, 3, 3) in the content of a file of a kind, e.g. "stl"."""
+    unit = collada_unit(data) if kind == "dae" else 1.0
     if kind == "obj":
         # the text may be in another encoding; trimesh skips lines that begin with blanks
         lines = data.decode("utf-8", errors="replace").splitlines()
         data = "\n".join(" ".join(line.split()) for line in lines).encode()
+        _refuse_skipped_lines(data)
     mesh = trimesh.load_mesh(io.BytesIO(data), file_type=kind, process=False)
     faces = np.asarray(mesh.faces, dtype=np.int64).reshape(-1, 3)
     if len(faces) == 0:
@@ -376,4 +379,17 @@ def _triangles(kind: str, data: bytes) -> FloatArray:
     corners = np.asarray(mesh.vertices, dtype=np.float64).reshape(-1, 3)[faces]
     if not np.isfinite(corners).all():
         raise InvalidInputError("a corner of a triangle is not finite")
-    return collada_unit(data) * corners if kind == "dae" else corners
+    return unit * corners
+
+
+def _refuse_skipped_lines(data: bytes) -> None:
+    """Refuse lines of an OBJ file, without blanks at their begin, that trimesh would skip."""
+    skipped = re.search(rb"^(fo|curv|curv2|surf) .*", data, re.MULTILINE)
+    # the fourth number of a vertex is a divisor; three more numbers are a colour
+    weighted = re.search(rb"^v( [^ \n]+){3} (?!1(\.0*)?$)[^ \n]+$", data, re.MULTILINE)
+    for found, what in ((skipped, "faces and surfaces"), (weighted, "a weight of a vertex")):
+        if found is not None:
+            line = shown(found[0].decode(errors="replace"))
+            raise InvalidInputError(
+                f"its line {line} has {what} that are not read; export plain triangles (v x y z, f)"
+            )

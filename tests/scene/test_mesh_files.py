@@ -115,10 +115,30 @@ def test_the_unit_of_a_collada_file_is_used(tmp_path):
     np.testing.assert_allclose(np.ptp(piece, axis=0), (0.2, 0.3, 0.4))
 
 
+def test_a_unit_in_a_comment_of_a_collada_file_is_none(tmp_path):
+    stated = in_unit("0.01").replace(b"<unit ", b'<!-- <unit meter="1"/> --><unit ')
+    (tmp_path / "a.dae").write_bytes(stated)
+    np.testing.assert_allclose(np.ptp(read_mesh(tmp_path / "a.dae")[0], axis=0), (0.2, 0.3, 0.4))
+
+
 FLAT = b"v 0 0 0\nv .1 0 0\nv 0 .1 0\nv .03 .03 1e-9\nf 1 2 3\nf 1 2 4\n"
 CUBE = box((1, 1, 1)).export(file_type="stl_ascii").encode()
 LOOSE = b"\nfacet normal 0 0 1\nouter loop\n" + 3 * b"vertex 9 9 9\n" + b"endloop\nendfacet\n"
+CUBE_OBJ = box((1, 1, 1)).export(file_type="obj").encode()
 BAD = {
+    # content that was left out without a word
+    "lost.dae": (in_unit("0.01").replace(b'url="#', b'url="#no-'), "'#no-.*', which"),
+    "holes.dae": (
+        in_unit("0.01").replace(b"</mesh>", b"<polygons><ph><p>0</p></ph></polygons></mesh>"),
+        "polygons with holes .<ph>., which is not read; export it again as plain triangles",
+    ),
+    "skin.dae": (
+        in_unit("0.01").replace(b"</node>", b"</node><node><instance_controller/></node>"),
+        "skinned or morphed geometry .<instance_controller>.",
+    ),
+    "old.obj": (CUBE_OBJ.replace(b"\nf ", b"\nfo ", 1), "its line 'fo .*' has faces and surfaces"),
+    "surface.obj": (CUBE_OBJ + b"\nsurf 0 1 0 1 1 2 3 4\n", "its line 'surf 0 1 .*plain triangles"),
+    "weight.obj": (CUBE_OBJ.replace(b"\nv ", b"\nv 1 1 1 0.5\nv ", 1), "'v 1 1 1 0.5' has a wei"),
     "flat.obj": (FLAT, "m thick, less than 0.0001"),
     "far.obj": (FLAT.replace(b".03 .03 1e-9", b"0 0 1e300"), "m from the origin"),
     "nan.obj": (b"v 0 0 0\nv nan 0 0\nv 0 1 0\nf 1 2 3\n", "finite|parse|could not"),
