@@ -59,14 +59,13 @@ from cvqmpt_lab.robot.source import (
 )
 from cvqmpt_lab.robot.urdf import (
     Joint,
-    Prepared,
     Urdf,
     check_turns,
     held_joints,
     one_coordinate_a_joint,
-    prepare_bodies,
     read_urdf,
 )
+from cvqmpt_lab.robot.urdf_bodies import Prepared, prepare_bodies
 
 MAX_REACH_M = 10.0  # from the origin; the kernels' distance grid then takes 125 MB
 

@@ -10,17 +10,13 @@ import math
 import re
 import xml.etree.ElementTree as ElementTree
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import product
 from pathlib import Path
-from typing import NamedTuple
 
 from cvqmpt_lab.base.errors import (
     InvalidInputError,
-    few,
     located,
-    nearest,
     require_choice,
     shown,
     unique,
@@ -433,152 +429,3 @@ def one_coordinate_a_joint(urdf: Urdf) -> ElementTree.Element:
         elif kind in ("floating", "planar"):
             element.set("type", "fixed")
     return root
-
-
-class NumbersOf(NamedTuple):
-    """Numbers that an attribute of a collision body or joint must have."""
-
-    tag: str  # element that has the attribute
-    attribute: str
-    length: int  # count of numbers
-    fits: Callable[[Sequence[float]], bool] = lambda _: True  # condition on the numbers
-    cure: str = ""  # description of numbers that fit, for messages
-    has_default: bool = False  # whether the attribute may be left out
-
-
-def _not_negative(values: Sequence[float]) -> bool:
-    return min(values) >= 0.0
-
-
-URDF_NUMBERS = (
-    NumbersOf("box", "size", 3, _not_negative, "0 or more [m]"),
-    NumbersOf("cylinder", "radius", 1, _not_negative, "0 or more [m]"),
-    NumbersOf("cylinder", "length", 1, _not_negative, "0 or more [m]"),
-    NumbersOf("sphere", "radius", 1, _not_negative, "0 or more [m]"),
-    NumbersOf("mesh", "scale", 3, all, "numbers other than 0", has_default=True),
-    NumbersOf("origin", "xyz", 3, has_default=True),
-    NumbersOf("origin", "rpy", 3, lambda rpy: max(map(abs, rpy)) < 7.0, "radians: degrees?", True),
-    NumbersOf("mass", "value", 1, _not_negative, "0 or more [kg]"),
-    NumbersOf("axis", "xyz", 3, any, "a direction"),
-)
-
-
-class Prepared(NamedTuple):
-    """Remarks on the bodies of a URDF."""
-
-    # links with a visual and no collision body
-    bodiless: tuple[str, ...]
-    # one line each, for reports
-    notes: tuple[str, ...]
-
-
-def prepare_bodies(root: ElementTree.Element, path: Path, visual: bool) -> Prepared:
-    """Check all collision bodies, origins and axes, and bring bodies into a form with a volume.
-
-    Placeholders, which are empty or of size 0, are removed. A flat body gets a thickness.
-
-    Args:
-        root: root element of the URDF; it is changed.
-        path: its file, for messages.
-        visual: whether links without a collision body get their visual bodies.
-
-    Raises:
-        InvalidInputError: a body, origin or axis is malformed; the message names link or joint.
-    """
-    # parts of a link; simulators read others
-    known = ("inertial", "visual", "collision", "gazebo", "sensor", "contact", "material")
-    of_joints = (
-        *("origin", "parent", "child", "axis", "limit", "mimic", "dynamics", "safety_controller"),
-        *("calibration", "gazebo", "sensor"),
-    )
-    placeholders, taken, bodiless, unknown = list[str](), list[str](), list[str](), list[str]()
-    for link in root.findall("link"):
-        name = link.get("name", "")
-        unknown += _unknown_parts(link, known, 3)
-        with located(f"link {shown(name)} of {path.name}, inertial"):
-            _check_numbers([*link.findall("inertial/mass"), *link.findall("inertial/origin")])
-        for body in link.findall("collision"):
-            if not _is_body(body, f"link {shown(name)} of {path.name}, collision"):
-                link.remove(body)
-                placeholders.append(name)
-        visuals = [] if link.findall("collision") else link.findall("visual")
-        if visual:
-            for body in visuals:
-                body.tag = "collision"
-                if not _is_body(body, f"link {shown(name)} of {path.name}, visual"):
-                    link.remove(body)
-        if visuals:
-            (taken if visual else bodiless).append(name)
-    for joint in root.findall("joint"):
-        unknown += _unknown_parts(joint, of_joints, 6)
-        axes = [] if joint.get("type") == "fixed" else joint.findall("axis")
-        with located(f"joint {shown(joint.get('name'))} of {path.name}"):
-            _check_numbers([*joint.findall("origin"), *axes])
-    remarks = {
-        "without size, no body": placeholders,
-        "visual bodies are taken": taken,
-        "unknown and skipped": unknown,
-    }
-    notes = (f"{what}: {few(names)}" for what, names in remarks.items() if names)
-    return Prepared(tuple(bodiless), tuple(notes))
-
-
-def _unknown_parts(item: ElementTree.Element, known: Sequence[str], offered: int) -> list[str]:
-    """Name parts of a link or joint that are not `known`, with a name meant of the first ones."""
-    parts = (part.tag for part in item if part.tag not in known)
-    return [f"<{tag}> of {item.get('name')}{nearest(tag, known[:offered])}" for tag in parts]
-
-
-def _is_body(body: ElementTree.Element, where: str, thinnest: float = 1e-4) -> bool:
-    """Check a body and return whether it is one; a placeholder is empty or of size 0.
-
-    A length of 0 beside others becomes `thinnest` [m]: solids need a volume.
-    """
-    known = ("box", "cylinder", "sphere", "mesh")
-    with located(where):
-        shapes = [shape for geometry in body.findall("geometry") for shape in geometry]
-        if not shapes:
-            return False
-        if len(shapes) != 1:
-            raise InvalidInputError(
-                f"it has {len(shapes)} shapes; give one <geometry> with one of {', '.join(known)}"
-            )
-        shape = shapes[0]
-        require_choice("shape", shape.tag, known)
-        _check_numbers([shape, *body.findall("origin")])
-    sizes = [name for name in ("size", "radius", "length") if name in shape.attrib]
-    lengths = [float(word) for name in sizes for word in shape.get(name, "").split()]
-    if shape.tag == "mesh":
-        return True
-    if not any(lengths):
-        return False
-    if not all(lengths):
-        for name in sizes:
-            words = [float(word) or thinnest for word in shape.get(name, "").split()]
-            shape.set(name, " ".join(map(repr, words)))
-    return True
-
-
-def _check_numbers(elements: Sequence[ElementTree.Element]) -> None:
-    """Refuse elements whose attributes do not have the numbers that `URDF_NUMBERS` demands.
-
-    An <origin> has no attribute but these: a rotation in another form would be left out.
-    """
-    for element in elements:
-        for name in element.attrib if element.tag == "origin" else ():
-            require_choice("attribute of its origin", name, ("xyz", "rpy"))
-    for element, wanted in product(elements, URDF_NUMBERS):
-        text = element.get(wanted.attribute, "")
-        stated = wanted.attribute in element.attrib
-        if element.tag != wanted.tag or (wanted.has_default and not stated):
-            continue
-        what = f"{wanted.attribute} of its {wanted.tag} is {shown(text)}"
-        try:
-            values = [float(word) for word in text.split()]
-        except ValueError:
-            values = []
-        # Python reads 1_0 as a number
-        if len(values) != wanted.length or not all(map(math.isfinite, values)) or "_" in text:
-            raise InvalidInputError(f"{what}; it must be {wanted.length} finite numbers")
-        if not wanted.fits(values):
-            raise InvalidInputError(f"{what}; give {wanted.cure}")
