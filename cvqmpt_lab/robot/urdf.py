@@ -191,6 +191,8 @@ def _joint(element: ElementTree.Element, path: Path, most_turn: float = 1e5) -> 
         require_choice("type", element.get("type"), known)
         if mimic is not nothing and not mimic.get("joint"):
             raise InvalidInputError('its <mimic> names no joint; give joint="NAME"')
+        for attribute in mimic.attrib:
+            require_choice("attribute of its <mimic>", attribute, ("joint", "multiplier", "offset"))
         joint = Joint(
             name=element.get("name", ""),
             kind=element.get("type", ""),

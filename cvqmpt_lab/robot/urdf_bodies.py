@@ -3,6 +3,7 @@
 What a parser would skip without a word is refused: a body without its origin is elsewhere.
 """
 
+import difflib
 import math
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable, Sequence
@@ -14,7 +15,6 @@ from cvqmpt_lab.base.errors import (
     InvalidInputError,
     few,
     located,
-    nearest,
     require_choice,
     shown,
 )
@@ -79,7 +79,8 @@ def prepare_bodies(root: ElementTree.Element, path: Path, visual: bool) -> Prepa
     placeholders, taken, bodiless, unknown = list[str](), list[str](), list[str](), list[str]()
     for link in root.findall("link"):
         name = link.get("name", "")
-        unknown += _unknown_parts(link, known, 3)
+        with located(path.name):
+            unknown += _unknown_parts(link, known, 3)
         with located(f"link {shown(name)} of {path.name}, inertial"):
             _check_numbers([*link.findall("inertial/mass"), *link.findall("inertial/origin")])
         for body in link.findall("collision"):
@@ -95,7 +96,8 @@ def prepare_bodies(root: ElementTree.Element, path: Path, visual: bool) -> Prepa
         if visuals:
             (taken if visual else bodiless).append(name)
     for joint in root.findall("joint"):
-        unknown += _unknown_parts(joint, of_joints, 6)
+        with located(path.name):
+            unknown += _unknown_parts(joint, of_joints, 6)
         axes = [] if joint.get("type") == "fixed" else joint.findall("axis")
         with located(f"joint {shown(joint.get('name'))} of {path.name}"):
             _check_numbers([*joint.findall("origin"), *axes])
@@ -108,10 +110,28 @@ def prepare_bodies(root: ElementTree.Element, path: Path, visual: bool) -> Prepa
     return Prepared(tuple(bodiless), tuple(notes))
 
 
-def _unknown_parts(item: ElementTree.Element, known: Sequence[str], offered: int) -> list[str]:
-    """Name parts of a link or joint that are not `known`, with a name meant of the first ones."""
-    parts = (part.tag for part in item if part.tag not in known)
-    return [f"<{tag}> of {item.get('name')}{nearest(tag, known[:offered])}" for tag in parts]
+def _unknown_parts(
+    item: ElementTree.Element, known: Sequence[str], offered: int, alike: float = 0.8
+) -> list[str]:
+    """Name parts of a link or joint that are not `known`; refuse misspelled ones.
+
+    Without its origin or collision the robot would be elsewhere, or smaller than it is.
+
+    Args:
+        item: link or joint.
+        known: tags of parts; the first `offered` of them may be misspelled.
+        offered: see `known`.
+        alike: similarity, from 0 to 1, from which a tag counts as misspelled.
+    """
+    parts = [part.tag for part in item if part.tag not in known]
+    for tag in parts:
+        meant = difflib.get_close_matches(tag.lower(), known[:offered], 1, alike)
+        if meant:
+            raise InvalidInputError(
+                f"{item.tag} {shown(item.get('name'))} has an unknown part <{tag}>; did you mean "
+                f"<{meant[0]}>?"
+            )
+    return [f"<{tag}> of {item.get('name')}" for tag in parts]
 
 
 def _is_body(body: ElementTree.Element, where: str, thinnest: float = 1e-4) -> bool:
@@ -120,7 +140,13 @@ def _is_body(body: ElementTree.Element, where: str, thinnest: float = 1e-4) -> b
     A length of 0 beside others becomes `thinnest` [m]: solids need a volume.
     """
     known = ("box", "cylinder", "sphere", "mesh")
+    # the parts after the first two change no shape
+    parts = ("origin", "geometry", "name", "material", "verbose", "gazebo", "surface")
+    parts += ("contact_coefficients", "max_contacts", "bounce")
     with located(where):
+        for part in body:
+            if "}" not in part.tag:  # parts with a namespace are those of simulators
+                require_choice("part", part.tag, parts)
         shapes = [shape for geometry in body.findall("geometry") for shape in geometry]
         if not shapes:
             return False
@@ -147,11 +173,13 @@ def _is_body(body: ElementTree.Element, where: str, thinnest: float = 1e-4) -> b
 def _check_numbers(elements: Sequence[ElementTree.Element]) -> None:
     """Refuse elements whose attributes do not have the numbers that `URDF_NUMBERS` demands.
 
-    An <origin> has no attribute but these: a rotation in another form would be left out.
+    They have no other attributes: a rotation in another form, or a unit, would be left out.
     """
     for element in elements:
-        for name in element.attrib if element.tag == "origin" else ():
-            require_choice("attribute of its origin", name, ("xyz", "rpy"))
+        known = [one.attribute for one in URDF_NUMBERS if one.tag == element.tag]
+        known += ["filename"] if element.tag == "mesh" else []
+        for name in element.attrib:
+            require_choice(f"attribute of its {element.tag}", name, known)
     for element, wanted in product(elements, URDF_NUMBERS):
         text = element.get(wanted.attribute, "")
         stated = wanted.attribute in element.attrib

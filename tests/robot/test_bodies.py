@@ -152,13 +152,42 @@ def test_an_srdf_switches_the_comparison_of_links_off_and_on(edited, tmp_path):
 
 
 def test_unknown_parts_of_links_and_joints_are_named(edited):
-    (note,) = load_robot(
-        edited(('<origin xyz="0 0 0.15" ', '<orign xyz="0 0 0.15" ')), "tool"
-    ).notes
-    assert note == "unknown and skipped: <orign> of lift; did you mean 'origin'?"
-    typo = (SPHERE, SPHERE + '</collision><colision name="a"></colision><collision>' + SPHERE)
-    (note,) = load_robot(edited(typo), "tool").notes
-    assert note == "unknown and skipped: <colision> of wrist; did you mean 'collision'?"
+    other = (SPHERE, SPHERE + '</collision><color name="a"></color><collision>' + SPHERE)
+    (note,) = load_robot(edited(other), "tool").notes
+    assert note == "unknown and skipped: <color> of wrist"
+
+
+ORIGIN = '<origin xyz="0 0 0.15" '
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (ORIGIN, ORIGIN.replace("origin", "orign"), "arm.urdf: joint 'lift' has .*mean <origin>"),
+        (ORIGIN, ORIGIN.replace("origin", "Origin"), "unknown part <Origin>; did you mean <orig"),
+        (
+            SPHERE,
+            SPHERE + '</collision><colision name="a"></colision><collision>' + SPHERE,
+            "link 'wrist' has an unknown part <colision>; did you mean <collision>",
+        ),
+        (SPHERE, SPHERE.replace("geometry", "Geometry"), "wrist.*unknown part 'Geometry'; valid"),
+        (SPHERE, "<pose>0 0 1 0 0 0</pose>" + SPHERE, "collision: unknown part 'pose'; valid"),
+        ('<sphere radius="0.04"', '<sphere radius="0.04" unit="cm"', "attribute of its sphere 'un"),
+        (
+            SPHERE,
+            '<geometry><mesh filename="a" Scale="2"/></geometry>',
+            "its mesh 'Scale'; .*sca",
+        ),
+        (
+            LIFT_END,
+            LIFT_END + '<mimic joint="turn" multiplyer="2"/>',
+            "attribute of its <mimic> 'multiplyer'; valid choices: joint, multiplier, offset",
+        ),
+    ],
+)
+def test_what_would_change_the_shape_of_the_robot_is_not_skipped(edited, old, new, message):
+    """The body, its pose, its size or the ratio of a linkage was left out."""
+    refused(message, load_robot, edited((old, new)), "tool")
 
 
 def test_joints_are_planned_within_their_soft_limits(edited):
