@@ -17,7 +17,7 @@ from typing import Any
 import lzf
 import numpy as np
 
-from cvqmpt_lab.base.errors import InvalidInputError, require_choice
+from cvqmpt_lab.base.errors import CvqmptError, InvalidInputError, require_choice
 from cvqmpt_lab.base.files import read_bytes, write_bytes
 from cvqmpt_lab.base.values import FloatArray
 
@@ -55,6 +55,7 @@ def read_cloud(path: Path | str, scale: float = 1.0, posed: bool = False) -> Clo
     """
     readers = dict(CLOUD_READERS)
     readers[".pcd"] = partial(_read_pcd, posed=posed)
+    readers[".ply"] = partial(_read_ply, posed=posed)
     with np.errstate(over="ignore"):
         points = scale * read_by_suffix(readers, path, "cloud").astype(np.float64)
     # axis by axis: 5 times as fast as by rows
@@ -122,7 +123,9 @@ def parsing(path: Path, what: str) -> Iterator[None]:
     try:
         yield
     except Exception as error:  # parsers of other packages raise all kinds of errors
-        said = " ".join(str(error).split())[:200] or type(error).__name__
+        said = " ".join(str(error).split()) or type(error).__name__
+        if not isinstance(error, CvqmptError):  # own messages end with the cure
+            said = said[:200]
         raise InvalidInputError(f"{what} {path} cannot be parsed: {said}") from error
 
 
@@ -341,8 +344,12 @@ def _refuse_more(rest: bytes, count: int, page: int = 4096) -> None:
         )
 
 
-def _read_ply(data: bytes) -> np.ndarray:
-    """Return points (m, 3) of the element "vertex" of a PLY file; its properties are no lists."""
+def _read_ply(data: bytes, posed: bool = False) -> np.ndarray:
+    """Return points (m, 3) of the element "vertex" of a PLY file; its properties are no lists.
+
+    PCL writes the pose of the sensor as an element "camera"; as in a PCD file, only a caller that
+    has a pose (`posed`) reads a file with one.
+    """
     top = re.match(
         rb"ply\s+format (ascii|binary_little_endian|binary_big_endian) "
         rb"(?s:.{0,999999}?)^end_header\r?\n",
@@ -369,7 +376,7 @@ def _read_ply(data: bytes) -> np.ndarray:
                 "write the vertices first, and without lists"
             )
     if top[1] == b"ascii":
-        return _ascii_vertices(data[top.end() :].decode("ascii"), elements)
+        return _ascii_vertices(data[top.end() :].decode("ascii"), elements, posed)
     # trimesh cannot read empty lines in a header
     data = re.sub(rb"\n\s*\n", b"\n", top[0]) + data[top.end() :]
     import trimesh  # takes 1 s to import
@@ -377,22 +384,46 @@ def _read_ply(data: bytes) -> np.ndarray:
     try:
         loaded = trimesh.load(io.BytesIO(data), file_type="ply", process=False)
         points = np.asarray(getattr(loaded, "vertices", np.empty((0, 3))), dtype=np.float64)
+        camera = loaded.metadata.get("_ply_raw", {}).get("camera", {}).get("data")
     except (ValueError, KeyError, TypeError, IndexError) as error:
         raise InvalidInputError(
             f"its vertices x, y, z cannot be read ({error}): cut short, or no plain numbers?"
         ) from error
     if len(points) != counts[0]:
         raise InvalidInputError(f"its header says {counts[0]} points, the file holds {len(points)}")
+    if camera is not None and len(camera) and not posed:
+        names = [name for name in camera.dtype.names if re.match("view_p|[xyz]_axis", name)]
+        _refuse_camera({name: float(camera[0][name]) for name in names})
     return points
 
 
-def _ascii_vertices(text: str, elements: Sequence[tuple[str, int, list[str]]]) -> np.ndarray:
+def _refuse_camera(camera: Mapping[str, float]) -> None:
+    """Refuse the pose of a sensor that is not the identity, in an element that PCL writes."""
+    position = [camera.get(f"view_p{k}", 0.0) for k in "xyz"]
+    axes = [[camera.get(f"{a}_axis{k}", float(a == k)) for k in "xyz"] for a in "xyz"]
+    if any(position) or axes != np.eye(3).tolist():
+        raise InvalidInputError(
+            f"its element camera is the pose of a sensor, xyz {position}, axes {axes}: give that "
+            "pose as --extrinsics (or as the object's T_world_object), or the identity if its "
+            "points are in the base frame, and without --extrinsics remove that element"
+        )
+
+
+def _ascii_vertices(
+    text: str, elements: Sequence[tuple[str, int, list[str]]], posed: bool
+) -> np.ndarray:
     """Return points (m, 3) of "vertex"; elements: (name, count, properties), a line for each."""
     lines = [line for line in text.splitlines() if line.strip()]
     if sum(count for _, count, _ in elements) != len(lines):
         said = ", ".join(f"{count} {name}" for name, count, _ in elements)
         raise InvalidInputError(f"its header says {said}, the file holds {len(lines)} lines")
-    k = [name for name, _, _ in elements].index("vertex")
+    names = [name for name, _, _ in elements]
+    if "camera" in names and not posed:
+        at = names.index("camera")
+        first = sum(count for _, count, _ in elements[:at])
+        for line in lines[first : first + elements[at][1]]:
+            _refuse_camera(dict(zip(elements[at][2], map(float, line.split()), strict=False)))
+    k = names.index("vertex")
     before = sum(count for _, count, _ in elements[:k])
     _, count, properties = elements[k]
     rows = _rows("\n".join(lines[before : before + count]), len(properties))

@@ -135,6 +135,29 @@ def test_a_pose_of_the_sensor_in_a_pcd_file_is_read_only_with_extrinsics(tmp_pat
     refused("its VIEWPOINT has 3 numbers; it has seven", read_cloud, path)
 
 
+@pytest.mark.parametrize("form", ["ascii", "binary_little_endian", "binary_big_endian"])
+def test_a_pose_of_the_sensor_in_a_ply_file_is_read_only_with_extrinsics(form, tmp_path):
+    """PCL writes it; the points were read as if the sensor stood at the origin."""
+    names = [f"view_p{k}" for k in "xyz"] + [f"{axis}_axis{k}" for axis in "xyz" for k in "xyz"]
+    tail = "element camera 1\n" + "".join(f"property float {name}\n" for name in names)
+    path = tmp_path / "a.ply"
+
+    def write(position, axes):
+        numbers = [*position, *np.ravel(axes)]
+        order = ">f4" if form == "binary_big_endian" else "<f4"
+        line = "\n" + " ".join(map(str, numbers)) + "\n"
+        row = line.encode() if form == "ascii" else np.array(numbers, order).tobytes()
+        path.write_bytes(ply(POINTS, form, tail=tail) + row)
+
+    write((0, 0, 0), np.eye(3))
+    np.testing.assert_allclose(read_cloud(path).points, POINTS)
+    for position, axes in (((0, 0, 1.5), np.eye(3)), ((0, 0, 0), np.diag((1, -1, -1)))):
+        write(position, axes)
+        told = r"element camera is the pose of a sensor, xyz \[0.0, .*--extr.* remove that element$"
+        refused(told, read_cloud, path)
+        np.testing.assert_allclose(read_cloud(path, posed=True).points, POINTS)
+
+
 def test_a_file_that_is_not_a_cloud_is_refused(tmp_path):
     (tmp_path / "folder.pcd").mkdir()
     os.mkfifo(tmp_path / "pipe.xyz")  # a reader would wait for it
