@@ -17,7 +17,7 @@ from typing import Any
 import lzf
 import numpy as np
 
-from cvqmpt_lab.base.errors import CvqmptError, InvalidInputError, require_choice
+from cvqmpt_lab.base.errors import CvqmptError, InvalidInputError, require_choice, shown
 from cvqmpt_lab.base.files import read_bytes, write_bytes
 from cvqmpt_lab.base.values import FloatArray
 
@@ -207,7 +207,8 @@ def _read_lines(data: bytes) -> np.ndarray:
     """Return points (m, 3): the first three numbers of each line.
 
     The first line decides whether blanks, commas or semicolons separate the numbers. It may have
-    names of columns, of which x, y and z are read, or the number of points alone.
+    names of columns, of which x, y and z are read, or the number of points alone. A comment above
+    that names other columns first is refused.
     """
     text = data.decode("utf-8-sig")  # some programs begin a text with a byte order mark
     first = re.search(r"^\s*[^#/\s][^#/\n]*", text, re.MULTILINE)
@@ -215,6 +216,8 @@ def _read_lines(data: bytes) -> np.ndarray:
     words = [word.strip(" \t\r\n\"'") for word in first[0].split(between)] if first else []
     columns: Sequence[int] = range(3)
     stated = None
+    if first is not None and any(map(_is_number, words)):
+        _refuse_other_columns(text[: first.start()], len(words))
     if first is not None and words and not any(map(_is_number, words)):
         columns, text = _axes_among([word.lower() for word in words]), text[first.end() :]
     elif first is not None and len(words) == 1 and words[0].isdecimal():
@@ -228,6 +231,22 @@ def _read_lines(data: bytes) -> np.ndarray:
             f"its first line says {stated} points, the file holds {len(points)}; remove that line"
         )
     return points
+
+
+def _refuse_other_columns(comments: str, width: int) -> None:
+    """Refuse comments above lines of `width` numbers that name columns, x, y, z not the first.
+
+    Of lines whose length varies (COLMAP's points) the comment has fewer names than the line.
+    """
+    for line in comments.splitlines():
+        names = re.findall(r"[^\s,;]+", line.strip().lstrip("#/").lower())
+        named = all(names.count(axis) == 1 for axis in "xyz") and names[:3] != ["x", "y", "z"]
+        # a sentence that has these words names another number of columns
+        if named and (len(names) == width or names[0].endswith("id")):
+            raise InvalidInputError(
+                f"its comment {shown(line.strip())} names columns of which x, y, z are not the "
+                "first; remove the other columns, or write the names without # or //"
+            )
 
 
 def _is_number(word: str) -> bool:

@@ -29,6 +29,13 @@ def test_points_that_are_not_finite_are_counted(write, tmp_path):
     np.testing.assert_allclose(cloud.points, np.delete(POINTS, [3, 7, 8], axis=0))
 
 
+@pytest.mark.parametrize("top", ["# x y z r", "// X Y Z R", "# points x, y, z [m] of a scan"])
+def test_comments_that_name_no_other_columns_change_nothing(top, tmp_path):
+    path = tmp_path / "a.xyz"
+    path.write_text(f"{top}\n" + "".join(f"{x!r} {y!r} {z!r} 7\n" for x, y, z in POINTS.tolist()))
+    np.testing.assert_allclose(read_cloud(path).points, POINTS)
+
+
 def test_a_scale_converts_a_cloud_to_metres(tmp_path):
     (tmp_path / "mm.npy").write_bytes(npy(1000.0 * POINTS))
     refused(r"half of it is more .* from .*millimetres: 0\.001", read_cloud, tmp_path / "mm.npy")
@@ -100,6 +107,13 @@ BAD = {
     "page.npy": (b"<!DOCTYPE html>", "magic"),
     "nan.npy": (npy(np.full((4, 3), np.nan)), "none of its 4 points"),
     "far.npy": (npy(FAR), "point 5 is"),
+    # the first three columns were read
+    "time.xyz": (b"# t x y z\n0.1 1 2 3\n0.2 1 2 3.5\n", "'# t x y z' names columns .* without #"),
+    "turned.csv": (b"// z,y,x\n0.1,1,2\n0.2,1,2\n", "names columns of which x, y, z are not the"),
+    "colmap.txt": (
+        b"# points\n# POINT3D_ID, X, Y, Z, R, G, B, TRACK[]\n1 1 2 3 0 0 0 7 8 9 9\n",
+        "'# POINT3D_ID, X, Y, Z, R, G, B, TRACK..' names columns",
+    ),
     "two.xyz": (b"1 2\n3 4\n", "invalid column index"),
     "commas.xyz": (b"0,1 0,2 0,3\n", "'1 0'.*write decimal points"),
     "semicolons.csv": (b"0,1;0,2;0,3\n", "'0,1'.*write decimal points"),
