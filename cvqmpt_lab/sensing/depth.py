@@ -75,7 +75,7 @@ def read_depth(path: Path | str, lens: Intrinsics, scale: float | None = None) -
     """
     readers = {".png": _read_png, ".npy": _read_npy}
     image = read_by_suffix(readers, path, "depth image", lens)
-    unit = (0.001 if image.dtype.kind == "u" else 1.0) if scale is None else scale
+    unit = (0.001 if image.dtype.kind in "iu" else 1.0) if scale is None else scale
     with np.errstate(over="ignore", invalid="ignore"):
         depth = unit * image.astype(np.float64)
     depth[~(np.isfinite(depth) & (depth > 0.0))] = np.nan

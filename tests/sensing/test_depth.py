@@ -9,7 +9,7 @@ from PIL import Image
 from refusals import refused
 
 from cvqmpt_lab.sensing.camera import Intrinsics
-from cvqmpt_lab.sensing.depth import deprojected, read_capture, write_depth
+from cvqmpt_lab.sensing.depth import deprojected, read_capture, read_depth, write_depth
 
 
 def test_a_depth_image_or_an_array_in_metres_gives_the_points_that_the_camera_saw(files):
@@ -26,6 +26,14 @@ def test_the_scale_is_the_length_of_a_unit(files):
     capture = read_capture(files.depth, files.intrinsics, scale=0.0002)
     deepest = files.view.depth[np.isfinite(files.view.depth)].max()
     assert capture.points[:, 2].max() == pytest.approx(deepest, abs=0.0002)
+
+
+@pytest.mark.parametrize("kind", [np.int16, np.int32, np.uint16])
+def test_whole_numbers_are_millimetres(kind, tmp_path):
+    """Signed ones were taken as metres."""
+    np.save(tmp_path / "a.npy", np.full((2, 3), 7, dtype=kind))
+    found = read_depth(tmp_path / "a.npy", Intrinsics(3, 2, 100.0, 120.0, 1.0, 0.5))
+    np.testing.assert_allclose(found, 0.007)
 
 
 def test_pixels_without_depth_stay_holes_of_the_organised_cloud():
