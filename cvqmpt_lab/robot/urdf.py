@@ -293,6 +293,15 @@ def held_joints(
                 f"joint {name!r} cannot be locked at {number:g} rad, more than 2 pi: degrees? "
                 "Give radians"
             )
+        lower, upper = movable[name].lower, movable[name].upper
+        # equal limits are placeholders
+        limited = movable[name].kind in ("revolute", "prismatic") and lower < upper
+        if limited and not lower - 1e-6 <= number <= upper + 1e-6:
+            raise InvalidInputError(
+                f"joint {name!r} cannot be locked at {number:g}, outside its limits [{lower:g}, "
+                f"{upper:g}] in {urdf.path.name}: give a value inside [rad or m], or correct its "
+                "<limit>"
+            )
         held[name] = HeldJoint(name, number, "locked by name")
     chains = {name: {joint.name for joint in urdf.chain(name)} for name in end_effectors}
     chain = set[str]().union(*chains.values())

@@ -111,6 +111,15 @@ def test_a_continuous_joint_turns_once_either_way(edited):
         np.testing.assert_allclose(turned.pose(q[:3]), robot.pose(q), atol=1e-12)
 
 
+@pytest.mark.parametrize(("name", "value"), [("rail", 30.0), ("lift", -2.1)])
+def test_joints_are_not_locked_outside_their_limits(edited, name, value):
+    """A slider that was locked in millimetres moved its links out of the robot's reach."""
+    message = (
+        rf"joint '{name}' cannot be locked at {value:g}, outside its limits \[.*: give a value"
+    )
+    refused(message, load_robot, edited(), "tool", locked={name: value})
+
+
 def test_all_joints_that_cannot_be_planned_for_are_named_with_their_options(edited):
     urdf = edited(
         ('name="lift" type="revolute"', 'name="lift" type="floating"'),
