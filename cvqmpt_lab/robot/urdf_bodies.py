@@ -141,11 +141,13 @@ def _is_body(body: ElementTree.Element, where: str, thinnest: float = 1e-4) -> b
     """
     known = ("box", "cylinder", "sphere", "mesh")
     # the parts after the first two change no shape
-    parts = ("origin", "geometry", "name", "material", "verbose", "gazebo", "surface")
-    parts += ("contact_coefficients", "max_contacts", "bounce")
+    parts = (
+        *("origin", "geometry", "name", "material", "verbose", "gazebo", "surface"),
+        *("contact_coefficients", "max_contacts", "bounce"),
+    )
     with located(where):
         for part in body:
-            if "}" not in part.tag:  # parts with a namespace are those of simulators
+            if ":" not in part.tag:  # parts with a namespace are those of simulators
                 require_choice("part", part.tag, parts)
         shapes = [shape for geometry in body.findall("geometry") for shape in geometry]
         if not shapes:

@@ -157,6 +157,11 @@ def test_unknown_parts_of_links_and_joints_are_named(edited):
     assert note == "unknown and skipped: <color> of wrist"
 
 
+def test_parts_of_simulators_are_no_error(edited):
+    other = (SPHERE, "<drake:proximity_properties/><verbose/>" + SPHERE)
+    assert load_robot(edited(other), "tool").notes == []
+
+
 ORIGIN = '<origin xyz="0 0 0.15" '
 
 
