@@ -338,4 +338,10 @@ def srdf_root(path: Path) -> ElementTree.Element:
     root = read_xml(path, "SRDF file")
     if root.tag != "robot":
         raise InvalidInputError(f"SRDF file {path} has the root <{root.tag}>, not <robot>")
+    for element in root.iter():
+        if element.tag.startswith("xacro:") or "${" in " ".join(element.attrib.values()):
+            raise InvalidInputError(
+                f"SRDF file {path} has unexpanded elements of xacro, <{element.tag}>, whose pairs "
+                f"of links would be left out: xacro {path.name} > expanded.srdf, and give that file"
+            )
     return root

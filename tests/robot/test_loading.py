@@ -323,6 +323,17 @@ def test_xml_is_read_as_programs_of_ros_read_it(edited, slider_arm):
     assert load_robot(edited(name="0.urdf"), "tool", srdf=srdf).dof == slider_arm.dof
 
 
+@pytest.mark.parametrize(
+    "pairs", ['<xacro:arm prefix="a"/>', '<disable_collisions link1="${prefix}base" link2="tool"/>']
+)
+def test_an_srdf_with_elements_of_xacro_is_refused(edited, tmp_path, pairs):
+    """Its pairs of links were left out, and robots collided with themselves everywhere."""
+    srdf = tmp_path / "arm.srdf"
+    srdf.write_text(f'<robot name="slider_arm">{pairs}</robot>')
+    told = r"arm.srdf has unexpanded elements of xacro, <.*: xacro arm.srdf > expanded.srdf"
+    refused(told, load_robot, edited(), "tool", srdf=srdf)
+
+
 def test_a_xacro_file_is_expanded_where_xacrodoc_is_installed(edited, tmp_path, monkeypatch):
     """The packages beside the file are made known, and a changed included file is noticed."""
     urdf, macro = edited(("</robot>", "<xacro:tip/></robot>")), tmp_path / "tip.xacro"
