@@ -12,8 +12,8 @@
       {"kind": "grasp", "name", "object", "gripper": {...}},
       {"kind": "release", "name", "gripper": {...}}]
 
-A grasped object is carried with its shape and pose in the scene. Contact counts as a collision:
-leave a gap of 1 mm or more between an object and its support.
+A grasped object is carried with its shape, mass and pose in the scene. Contact counts as a
+collision: leave a gap of 1 mm or more between an object and its support.
 """
 
 from __future__ import annotations  # so that `help` shows types by their names
@@ -114,7 +114,8 @@ class Grasp(Checked):
     name: Name  # Unique in its task
     object: Name  # Name of an object of the scene
     gripper: Mapping[str, Any]  # As in `Hold`
-    # Expected object and pose in the hand, only compared with the object that is carried
+    # Expected object and pose in the hand, only compared with the object that is carried; its mass
+    # counts where the object in the scene has none
     attachment: Attachment | None = None
 
     def check_shape(self, item: SceneObject) -> None:

@@ -116,7 +116,10 @@ class World:
                 T_hand_object = np.linalg.inv(self.arm.pose(self.q)) @ item.T_world_object
                 _require_in_hand(phase, item, T_hand_object, robot_from_source(source), self.q)
                 name = expected.name if expected else item.name
-                load = Load(item, Attachment(name, item.shape, T_hand_object))
+                mass = item.mass
+                if mass is None and expected is not None:
+                    mass = expected.mass
+                load = Load(item, Attachment(name, item.shape, T_hand_object, mass))
                 return World(source, self.scene.without(phase.object), self.q, load)
         scene = self.scene
         if isinstance(self.held, Load):

@@ -107,6 +107,28 @@ def test_the_carried_object_has_its_pose_in_the_scene_not_the_expected_one(
     assert held == can and held.shape == item.shape
 
 
+@pytest.mark.parametrize(
+    ("in_scene", "in_grasp", "carried"), [(2.0, None, 2.0), (2.0, 3.0, 2.0), (None, 3.0, 3.0)]
+)
+def test_the_mass_of_a_grasped_object_counts(task_solution, in_scene, in_grasp, carried):
+    world = task_solution.outcomes[-1].world
+    can, item = world.held.attachment, world.held.item
+    scene = world.scene.with_objects(replace(item, mass=in_scene))
+    before = replace(world, held=None, scene=scene)
+    grasp = Grasp("grasp-can", "can", {}, replace(can, mass=in_grasp))
+    assert before.after(grasp).held.attachment.mass == carried
+
+
+def test_a_task_whose_object_is_too_heavy_is_not_solved(task):
+    (can,) = (item for item in task.scene.objects if item.name == "can")
+    others = task.scene.without("can")
+    heavy = replace(task, scene=others.with_objects(replace(can, mass=30.0)))
+    found = solve_task(heavy, "birrt", Budget(iterations=20_000), 0)
+    assert not found.solved
+    assert "'carry': not timed: joint 'panda_joint" in found.failure
+    assert "Nm to stand still: carry less" in found.failure
+
+
 def test_a_carried_can_hits_a_board_that_one_5_mm_shorter_does_not(task_solution):
     solution, item = task_solution.outcomes[-1].solution, task_solution.outcomes[-1].world.held.item
     top = item.T_world_object[2, 3] - item.shape.height / 2 + 0.0025
