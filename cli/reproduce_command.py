@@ -30,7 +30,7 @@ from cvqmpt_lab.cli.options import (
     writable_file,
 )
 from cvqmpt_lab.cli.problem_arguments import budget, optimize_budget, planner_list
-from cvqmpt_lab.cli.problem_options import BUDGET, optimize_option
+from cvqmpt_lab.cli.problem_options import BUDGET, CODE, optimize_option
 from cvqmpt_lab.cli.tables_command import (
     judged_below,
     show_tables,
@@ -205,6 +205,7 @@ OPTIONS: Options = {
         type=Path,
         metavar="DIR",
     ),
+    **CODE,
     "--profile": option(
         f"amounts of {ALL}, on two cores: full (three hours), paper (Tables I and II with the "
         "paper's planners, 6 minutes) or small (1 to 3 minutes) (full)",

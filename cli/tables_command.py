@@ -20,6 +20,7 @@ from cvqmpt_lab.cli.options import (
     writable_file,
 )
 from cvqmpt_lab.cli.problem_arguments import planner_list
+from cvqmpt_lab.cli.problem_options import CODE
 from cvqmpt_lab.experiments import regression
 from cvqmpt_lab.experiments.regression import EXPECTED
 from cvqmpt_lab.paper_tables import pages
@@ -368,6 +369,7 @@ CHECK_TABLES: Options = {
             "with --update: budget of a run (20000)", type=positive_int, metavar="N"
         ),
         "--jobs": option("processes (one per core)", type=positive_int, metavar="J"),
+        **CODE,
     },
 }
 COMMANDS = {

@@ -237,3 +237,24 @@ def test_problem_files_name_functions_which_run_only_where_that_is_allowed(
     }.items():
         refused(told, load_function, address)
     assert own_constraints.circle is circle
+
+
+def test_a_folder_of_problems_that_name_functions_is_reproduced_where_that_is_allowed(
+    around_the_pole, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.setattr(Code, "allowed", False)
+    own = load_function("own_constraints:circle")
+    folder, out = tmp_path / "own", str(tmp_path / "out")
+    folder.mkdir()
+    around_the_pole.changed(constraint=(own,)).save(folder / "around.json")
+    few = ["--planners", "birrt", "--iterations", "20000", "--jobs", "1"]
+    words = ["reproduce", "--problems-dir", str(folder), *few, "--out", out]
+    assert main(words) == 2 and "--allow-code if you trust" in capsys.readouterr().err
+    assert main([*words, "--allow-code"]) == 0
+    assert main(["certify", out, "--problems-dir", str(folder), "--allow-code"]) == 0
+    assert "1 paths, 1 certified" in capsys.readouterr().out
+    monkeypatch.setattr(Code, "allowed", False)
+    guard = ["check-tables", str(folder), "--jobs", "1"]
+    assert main([*guard, "--update", "--planners", "birrt"]) == 2
+    assert main([*guard, "--update", "--planners", "birrt", "--allow-code"]) == 0
+    assert main([*guard, "--allow-code"]) == 0
