@@ -23,7 +23,7 @@ from cvqmpt_lab.cli.options import (
     refuse_given,
 )
 from cvqmpt_lab.cli.plan_command import FILM_SUFFIX
-from cvqmpt_lab.cli.problem_arguments import budget, chosen_problem
+from cvqmpt_lab.cli.problem_arguments import budget, chosen_problem, margin_of_task
 from cvqmpt_lab.cli.problem_options import BUDGET, MARGIN, PROBLEM, ROBOT, bodies_option
 from cvqmpt_lab.execution.execute import (
     CONTACT_TIMES_S,
@@ -120,8 +120,8 @@ def _task(
     """Plan and execute a task; return also the used part of the limits in words."""
     refuse_given(args, ["motion"], "goes with a problem; a task is always planned, leave it out")
     refuse_given(args, ["hold"], "goes with a problem; in a task fingers hold by friction")
-    margin = Margin(args.margin, args.margin_angle).check()
-    timing = TimingSettings(speed=args.speed)
+    timing = TimingSettings(speed=_speed(args))
+    margin = margin_of_task(args)
     solution = solve_task(task, "birrt", budget(args), args.seed, timing, margin=margin)
     executions = [execute_task(solution, args.controller, time) for time in times]
     return executions, _at_speed(args)
@@ -134,6 +134,11 @@ def _motion(
     found = None if args.motion is None else read_motion(args.motion)
     if found is not None:
         problem = with_limits_of(problem, found)
+    if found is not None and found.times is not None and args.speed is not None:
+        raise InvalidInputError(
+            f"--speed {args.speed:g} goes with a planned motion or a path; {args.motion} has times "
+            "of its own: leave it out, or plan again with --speed"
+        )
     # refused before anything is planned
     require_simulated(problem)
     Controller(args.controller, problem.robot)
@@ -146,16 +151,21 @@ def _motion(
     return list(times_run), share
 
 
+def _speed(args: argparse.Namespace) -> float:
+    """Return the fraction of the limits that a planned motion uses."""
+    return 1.0 if args.speed is None else args.speed
+
+
 def _at_speed(args: argparse.Namespace) -> str:
     """Return the part of the limits that a planned motion uses, in words."""
-    return f" at {args.speed:g} of the limits"
+    return f" at {_speed(args):g} of the limits"
 
 
 def _planned(args: argparse.Namespace, problem: PlanningProblem) -> Trajectory:
     """Return a certified motion of a problem."""
     margin = Margin(args.margin, args.margin_angle).check()
-    settings = TimingSettings(speed=args.speed)
-    problem.robot.joint_limits.scaled(args.speed)
+    settings = TimingSettings(speed=_speed(args))
+    problem.robot.joint_limits.scaled(_speed(args))
     method = planner_named(default_planner(problem)[0])
     solution, _ = solve_with_margin(problem, method, budget(args), args.seed, margin)
     if not solution.solved or solution.path is None:
@@ -171,7 +181,7 @@ def _read(
 ) -> tuple[Trajectory, str]:
     """Return the motion of a file and the used part of the limits; refuse one not certified."""
     if found.times is None:
-        settings = TimingSettings(speed=args.speed)
+        settings = TimingSettings(speed=_speed(args))
         return certified_motion(problem, JointPath(found.positions), settings), _at_speed(args)
     if found.velocities is None or found.accelerations is None:
         raise InvalidInputError(
@@ -208,7 +218,6 @@ OPTIONS: Options = {
         "fraction of the joint limits that a planned motion uses (1)",
         type=float,
         metavar="FACTOR",
-        default=1.0,
     ),
     "--contact-time": option(
         "time constant of contacts; by default 4 and 1 ms, which must agree [s]",

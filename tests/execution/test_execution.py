@@ -29,6 +29,7 @@ from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, PointCloud
 from cvqmpt_lab.search.result import Budget, JointPath
 from cvqmpt_lab.tasks.task import Release
+from cvqmpt_lab.trajectory.trajectory import save_trajectory
 
 mujoco = pytest.importorskip("mujoco")
 FINGERS = {
@@ -236,3 +237,11 @@ def test_contact_times_that_no_simulation_can_have_are_refused(capsys, time):
     words = ("execute", "place-task-with-can", "--contact-time", time)
     said = command_refused(capsys, *words)
     assert f"--contact-time {float(time):g} s: give 0.0001 to 0.1 s" in said
+
+
+def test_the_speed_of_a_timed_motion_is_its_own(carrying, capsys, tmp_path):
+    problem, motion = carrying
+    problem.save(tmp_path / "p.json")
+    save_trajectory(motion, tmp_path / "m.json")
+    words = ("execute", tmp_path / "p.json", "--motion", tmp_path / "m.json", "--speed", "0.3")
+    assert "m.json has times of its own: leave it out" in command_refused(capsys, *words)
