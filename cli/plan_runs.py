@@ -26,6 +26,7 @@ from cvqmpt_lab.cli.problem_arguments import (
     budget,
     chosen_problem,
     end_velocities,
+    margin_of_task,
     motion_given,
     name_file,
     optimize_budget,
@@ -160,7 +161,7 @@ def _solved_task(
     planner = args.planner or "birrt"  # the planner with which tasks were measured
     method = planner_named(planner, args.model, args.reach)
     compile_kernels(compiling())
-    margin = Margin(max(args.margin, args.clearance or 0.0), args.margin_angle).check()
+    margin = margin_of_task(args)
     timing = TimingSettings(speed=args.speed)
     # a wrong speed is refused before anything is planned
     robot_from_source(task.robot).joint_limits.scaled(args.speed)

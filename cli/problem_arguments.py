@@ -11,8 +11,9 @@ from cvqmpt_lab.base.errors import InvalidInputError, mapping, require_choice
 from cvqmpt_lab.base.files import read_json_object
 from cvqmpt_lab.benchmarks.declarations import SUITES
 from cvqmpt_lab.benchmarks.suite import suite_named
-from cvqmpt_lab.cli.options import numbers
+from cvqmpt_lab.cli.options import numbers, refuse_given
 from cvqmpt_lab.cli.problem_options import ROBOT_DETAILS
+from cvqmpt_lab.planning.margins import Margin
 from cvqmpt_lab.planning.planners import PLANNERS
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.frame_speeds import with_frame_limits
@@ -159,6 +160,8 @@ def chosen_problem(args: argparse.Namespace) -> PlanningProblem | Task:
         options = " or ".join(f"--{name.replace('_', '-')}" for name in files)
         either = "one of the two" if len(files) == 1 else "one of the three"
         raise InvalidInputError(f"name a suite ({', '.join(SUITES)}) or give {options}, {either}")
+    if args.suite is None:
+        refuse_given(args, ["problem"], "goes with a suite; a file holds one problem, leave it out")
     if args.problem_file is not None:
         robot = robot_source(args, args.problem_file)
         problem = PlanningProblem.load(args.problem_file, robot=robot, clearance=args.clearance)
@@ -196,6 +199,22 @@ def with_limits(
         robot = with_tool_speed(args, robot_from_source(problem.robot))
         return replace(problem, robot=robot.source)
     return replace(problem, robot=with_tool_speed(args, problem.robot))
+
+
+def margin_of_task(args: argparse.Namespace, most: float = 0.1) -> Margin:
+    """Return the margin of a task: --margin or --clearance, whichever is larger.
+
+    A phase keeps less where its hand must come nearer to objects; its margin says so.
+
+    most: largest margin [m].
+    """
+    clearance = args.clearance or 0.0
+    if clearance > most:
+        raise InvalidInputError(
+            f"--clearance {clearance:g}: a task keeps it as its margin, which is from 0 to {most:g} "
+            "m; give less"
+        )
+    return Margin(max(args.margin, clearance), args.margin_angle).check()
 
 
 def with_tool_speed(args: argparse.Namespace, robot: Robot) -> Robot:

@@ -328,6 +328,7 @@ def task_lines(solution: TaskSolution, planner: str, speed: float) -> list[str]:
         if outcome.trajectory is not None:
             execution += outcome.trajectory.duration
             line += f", certified, {outcome.trajectory.duration:.1f} s of motion {at_speed}"
+            line += f", margin {outcome.margin}"
         lines.append(line + (f" ({outcome.fallback})" if outcome.fallback else ""))
     if solution.solved:
         return [

@@ -20,7 +20,7 @@ from cvqmpt_lab.search.birrt import BiRRT
 from cvqmpt_lab.search.method import Method
 from cvqmpt_lab.search.planner_interface import Stages
 from cvqmpt_lab.search.result import Budget, Counters, PlanResult, PlanStatus
-from cvqmpt_lab.tasks.solve import solve_task
+from cvqmpt_lab.tasks.solve import solve_task, task_lines
 from cvqmpt_lab.tasks.task import Grasp, Move, Release
 from cvqmpt_lab.tasks.world import World, phase_goals
 
@@ -249,3 +249,11 @@ def test_a_move_to_a_configuration_ends_there(task):
 )
 def test_a_configuration_that_the_arm_cannot_take_is_refused(task, q, told):
     refused(told, changed, task, "reach-can", configuration=q)
+
+
+def test_the_report_states_the_margin_that_each_phase_keeps(task_solution):
+    first, *others = task_solution.outcomes
+    less = "0.9 mm, 0.005 rad of 50 mm, 0.005 rad: the start is 0.9 mm from can and shelf"
+    shown = replace(task_solution, outcomes=(replace(first, margin=less), *others))
+    line = next(line for line in task_lines(shown, "birrt", 1.0) if line.startswith("reach-handle"))
+    assert line.endswith(f"of the limits, margin {less}")
