@@ -20,7 +20,7 @@ from cvqmpt_lab.robot.robot import Robot, axis_frames
 class CentreOfMass:
     """Configurations whose centre of mass, with the load, lies above a convex polygon."""
 
-    corners: np.ndarray  # (k, 2) in order, x and y in the robot's base frame, whose z is up [m]
+    corners: np.ndarray  # (k, 2) in order, x and y in the world, whose z is up [m]
     margin: float = 0.0  # distance that it keeps from the edges [m]
     loads: tuple[Load, ...] = ()  # what the hands carry
 
@@ -30,7 +30,10 @@ class CentreOfMass:
         along = np.roll(self.corners, -1, axis=0) - self.corners
         after = np.roll(along, -1, axis=0)
         turns = along[:, 0] * after[:, 1] - along[:, 1] * after[:, 0]
-        if len(along) < 3 or not ((turns > 0.0).all() or (turns < 0.0).all()):
+        # a star turns to one side only, too, but more than once around
+        around = np.arctan2(turns, (along * after).sum(axis=1)).sum()
+        one_side = (turns > 0.0).all() or (turns < 0.0).all()
+        if len(along) < 3 or not one_side or abs(around) > 3.0 * np.pi:
             raise InvalidInputError(
                 f"corners of centre-of-mass are {self.corners.tolist()}; give 3 or more of a "
                 "convex polygon, in order, without repetition"

@@ -210,7 +210,7 @@ def centre_of_mass(
     """Return the constraint that the robot's centre of mass, with its load, is above a polygon.
 
     Args:
-        corners: corners (k, 2) of a convex polygon in order, in the robot's base frame [m].
+        corners: corners (k, 2) of a convex polygon in order, x and y in the world [m].
         margin: distance that it keeps from the edges [m].
     """
     from cvqmpt_lab.constraints.centre_of_mass import CentreOfMass  # few problems have one
