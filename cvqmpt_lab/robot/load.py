@@ -439,6 +439,8 @@ def _models(
         for fixed in (*list(model.frames)[1:], *geometry.geometryObjects):
             if fixed.parentJoint == 0:
                 fixed.placement = base * fixed.placement
+        # the masses of fixed links count in the centre of mass
+        model.inertias[0] = base.act(model.inertias[0])
     return model, geometry, digests, bodies
 
 

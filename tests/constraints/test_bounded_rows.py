@@ -62,8 +62,26 @@ def test_the_centre_of_mass_is_that_of_all_bodies_and_the_load(talos):
     np.testing.assert_allclose(x, [c[1], -c[0], -c[1], c[0]], atol=1e-12)
 
 
+@pytest.mark.parametrize("name", ["panda", "talos-left-arm"])
+def test_a_base_elsewhere_moves_the_mass_of_all_links_over_corners_in_the_world(name):
+    base = {"xyz": [1.0, 0.5, 0.2], "rpy": [0.0, 0.0, 0.5 * np.pi]}
+    at_origin, moved = (robot_from_source({"name": name, **more}) for more in ({}, {"base": base}))
+    q = at_origin.random_configurations(np.random.default_rng(0), 1)
+    x, y = CentreOfMass(SQUARE).on(at_origin).values(q)[0][[3, 0]]
+    there = CentreOfMass(SQUARE).on(moved)
+    np.testing.assert_allclose(there.values(q)[0][[3, 0]], [1.0 - y, 0.5 + x], atol=1e-12)
+    both = RegionConstraint(moved, (CentreOfMass(SQUARE),))
+    space = ConstrainedSpace(moved, Scene("empty", ()), both, inset=0.0)
+    np.testing.assert_allclose(
+        space.residual_and_jacobian(q[0])[0], there.residual(q[0]), atol=1e-9
+    )
+
+
 def test_wrong_polygons_joints_and_robots_without_masses_are_refused(talos, slider_arm):
     refused("3 or more of a convex polygon", CentreOfMass, SQUARE[[0, 2, 1, 3]])
+    angles = 0.8 * np.pi * np.arange(5)
+    star = np.column_stack([np.cos(angles), np.sin(angles)])
+    refused("3 or more of a convex polygon", CentreOfMass, star)
     refused("no mass at joint", CentreOfMass(SQUARE).on, slider_arm)
     refused("unknown joint of robot talos", JointCoupling({"nope": 1.0}).on, talos)
     refused("a factor other than 0", JointCoupling, {"a": 0.0})
