@@ -241,7 +241,7 @@ class PlanningProblem(Document):
                     f"{shape}: one value each for {', '.join(self.robot.joint_names)}"
                 )
         object.__setattr__(self, "start", self._within_limits("start", self.start))
-        goals = self._within_limits("goals", self.goals, self.start)
+        given, goals = self.goals, self._within_limits("goals", self.goals, self.start)
         object.__setattr__(self, "goals", goals)
         for label, q in self.labelled_configurations():
             outside = self.robot.joint_outside_limits(q)
@@ -258,6 +258,14 @@ class PlanningProblem(Document):
             from cvqmpt_lab.constraints.function_checks import check_function  # few have one
 
             check_function(function, self.robot, self.start)
+        if functions_of(self.constraint) and not np.array_equal(given, goals):
+            # functions may change by a whole turn of a joint: such goals stay as they are given
+            inside = ((given >= self.robot.lower) & (given <= self.robot.upper)).all(axis=1)
+            off, turned_off = (
+                np.linalg.norm(self.manifold.residual(states), axis=1) for states in (given, goals)
+            )
+            kept = inside & (off <= PROJECTION_TOLERANCE) & (turned_off > PROJECTION_TOLERANCE)
+            object.__setattr__(self, "goals", frozen(np.where(kept[:, None], given, goals)))
 
     def _load_functions(self) -> None:
         """Tell constraints that depend on it what the robot carries."""

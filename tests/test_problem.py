@@ -13,10 +13,11 @@ from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.benchmarks.place_task import door_problem, place_problem
 from cvqmpt_lab.cli.problem_options import pose_region
 from cvqmpt_lab.collision.arrays import robot_arrays, robot_swing, scene_arrays
+from cvqmpt_lab.constraints.joint_coupling import JointCoupling
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, upright
 from cvqmpt_lab.planning.pipeline import with_drawn_goals
 from cvqmpt_lab.problem import PlanningProblem, check_problem, usable_goals
-from cvqmpt_lab.robot.load import group_states
+from cvqmpt_lab.robot.load import group_states, robot_from_source
 from cvqmpt_lab.scene.cells import map_of_points
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, PointCloud
@@ -260,3 +261,19 @@ def test_nothing_that_problems_share_can_be_written_to(with_door):
     with pytest.raises(ValueError, match="read-only"):
         lower = problem.robot.lower
         lower -= 0.5
+
+
+def test_a_goal_stays_where_a_whole_turn_of_a_joint_would_break_the_constraint():
+    robot = robot_from_source({"name": "kinova"})
+    first, fourth = robot.joint_names[0], robot.joint_names[3]
+    coupling = JointCoupling({first: 1.0, fourth: -2.0}, lower=-0.01, upper=0.01)
+    start = np.array([-1.0, 2.9, 1.3, -0.5, 1.4, 0.0])
+    # nearer to the start is -0.28 of the first joint and -3.28 of the other one
+    goal = np.array([6.0, 2.9, 1.3, 3.0, 1.4, 0.0])
+    problem = PlanningProblem(
+        "p", robot, Scene("s", ()), start=start, goals=[goal], constraint=(coupling,)
+    )
+    np.testing.assert_array_equal(problem.goals, [goal])
+    check_problem(problem)
+    free = replace(problem, constraint=())
+    np.testing.assert_allclose(free.goals[0, [0, 3]], [6.0 - 2 * np.pi, 3.0 - 2 * np.pi])
