@@ -211,8 +211,8 @@ def margin_of_task(args: argparse.Namespace, most: float = 0.1) -> Margin:
     clearance = args.clearance or 0.0
     if clearance > most:
         raise InvalidInputError(
-            f"--clearance {clearance:g}: a task keeps it as its margin, which is from 0 to {most:g} "
-            "m; give less"
+            f"--clearance {clearance:g}: a task keeps it as its margin, from 0 to {most:g} m; give "
+            "less"
         )
     return Margin(max(args.margin, clearance), args.margin_angle).check()
 
