@@ -24,6 +24,7 @@ from cvqmpt_lab.cli.problem_options import (
     MARGIN,
     MOTION,
     PROBLEM,
+    REGIONS,
     ROBOT,
     SCAN,
     bodies_option,
@@ -41,6 +42,7 @@ PAGE_SUFFIX = ".html"
 
 OPTIONS: Options = {
     **PROBLEM,
+    **REGIONS,
     "another robot for --problem-file, or for --start and --goal": ROBOT,
     **MARGIN,
     "--task-file": option(

@@ -143,8 +143,8 @@ def with_functions(
         return problem
     if not isinstance(problem, PlanningProblem) or not all(map(is_function, args.constraint)):
         raise InvalidInputError(
-            f"--constraint {args.constraint[0]}: regions go with --start and --goal, functions "
-            "(module:F) with any problem; a task states its own constraints"
+            f"--constraint {args.constraint[0]}: regions go with --start and --goal of "
+            "plan, functions (module:F) with any problem; a task states its own constraints"
         )
     from cvqmpt_lab.constraints.function_files import load_function  # few commands have one
 

@@ -107,8 +107,8 @@ ROBOT_DETAILS: Options = {  # for robots given by name or by file
         **FLAG,
     ),
     "--acceleration": option(
-        "acceleration limits, one per joint or one for all [rad/s^2 or m/s^2]; required by "
-        "--trajectory if neither robot nor file has acceleration limits",
+        "acceleration limits, one per joint or one for all [rad/s^2 or m/s^2]; required for a "
+        "timed motion if neither robot nor file has acceleration limits",
         type=partial(_limits, "--acceleration"),
         metavar="A[,A...]",
     ),
@@ -145,11 +145,26 @@ PROBLEM: Options = {
     "--problem-file": option("a problem file instead of a suite", type=Path, metavar="P.json"),
     "--tool-speed": option(
         "largest speed of the end effector, and perhaps its largest turning speed (unlimited, or "
-        "'frame_limits' of the robot in the file): motions keep it, certificates check it, --speed "
-        "does not scale it [m/s, rad/s]",
+        "'frame_limits' of the robot in the file): motions keep it, certificates check it; a "
+        "fraction of the joint limits does not scale it [m/s, rad/s]",
         type=partial(one_or_two, "--tool-speed", "V or V,W, above 0 [m/s, rad/s]"),
         metavar="V[,W]",
     ),
+    "--constraint": option(
+        "add a constraint function of your own to the problem; repeatable",
+        metavar="MODULE:F",
+        **REPEATED,
+    ),
+    **CODE,
+    "--clearance": option(
+        "least distance of the robot and its load to obstacles, for planning and certificate (0, "
+        "or that of the file); for a task, a --margin",
+        type=not_negative,
+        metavar="M",
+    ),
+}
+
+REGIONS: Options = {  # replaces PROBLEM's option in commands with --start and --goal
     "--constraint": option(
         "for --start and --goal: upright, upright-box, fixed-orientation, plane, line, pose, "
         "relative-pose, look-at, distance, on-sphere, on-cylinder, joint-coupling, centre-of-mass "
@@ -159,13 +174,6 @@ PROBLEM: Options = {
         "problem: module:F, a constraint function of your own; repeatable",
         metavar="NAME[=VALUE]|JSON|MODULE:F",
         **REPEATED,
-    ),
-    **CODE,
-    "--clearance": option(
-        "least distance of the robot and its load to obstacles, for planning and certificate (0, "
-        "or that of the file); for a task, a --margin",
-        type=not_negative,
-        metavar="M",
     ),
 }
 

@@ -58,6 +58,15 @@ def test_examples_in_helps_are_understood(command):
         parser_with([command]).parse_args(words)
 
 
+@pytest.mark.parametrize("command", COMMANDS)
+def test_helps_name_only_options_of_their_own_command(command):
+    (commands,) = parser_with([command])._subparsers._group_actions
+    actions = commands.choices[command]._actions
+    texts = " ".join(action.help for action in actions if action.help)
+    named = re.findall(r"(?<!plan )(--[a-z]+(?:-[a-z]+)*)", texts)
+    assert set(named) <= {name for action in actions for name in action.option_strings}
+
+
 def test_targets_of_make_on_pages_are_there():
     targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
     pages = "".join(page.read_text() for page in PAGES)
