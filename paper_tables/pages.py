@@ -56,6 +56,7 @@ PAPER_TABLES = {  # titles of the paper's tables on the page of claims, by resul
     "sensor-ompl": "Table I, sensed scenes",
     "multi-sequence-published": "Table II, multi-sequence task",
 }
+LINK = re.compile(r"\[([^]]+)\]\([^)]*\)")  # of markdown
 REPORT_COLUMNS = (
     "problem",
     "seed",
@@ -108,15 +109,19 @@ def html_cell(text: str, head: str) -> str:
     return f"<td{f' class={kind}' if kind else ''}>{value}<small>{interval}</small></td>"
 
 
-def reading() -> list[str]:
-    """Return explanations of verdicts, one for each item of a list."""
+def reading(links: bool = True) -> list[str]:
+    """Return explanations of verdicts, one for each item of a list.
+
+    links: whether to keep links, which are relative to the page of claims, or their text alone.
+    """
     numbers = {
         "sentences": sum(not claim.untestable for claim in CLAIMS),
         "check": 1e3 * PUBLISHED_PRICES.state_check,
         "residual": 1e3 * PUBLISHED_PRICES.projection,
         "step": 1e3 * PUBLISHED_PRICES.newton_step,
     }
-    return [line.format(**numbers) for line in READING]
+    lines = [line.format(**numbers) for line in READING]
+    return lines if links else [LINK.sub(r"\1", line) for line in lines]
 
 
 # ---------------------------------------------------------------- the page of claims
@@ -185,7 +190,7 @@ def page_text(found: Mapping[str, Evidence], claims: Sequence[JudgedClaim], root
         count=counted(claims),
         summary=summary_lines(claims),
         level=100.0 * (1.0 - sentence_level()),
-        reading=reading(),
+        reading=reading(links=root == PAGE.parent),
         claims=claims,
         titles=PAPER_TABLES,
         tables={name: paper_lines(found[name]) for name in PAPER_TABLES if name in found},
@@ -273,7 +278,7 @@ def report_html(
         claims=summary_lines(claims) if claims else [],
         styles={str(Word.REPLICATED): "holds", str(Word.SAME): "not", str(Word.OPPOSITE): "not"},
         untested=[str(Word.NO_ROWS), str(Word.UNTESTABLE)],
-        reading=reading(),
+        reading=reading(links=False),
         sections=sections,
         # input of the page's script, which inflates it
         data=base64.b64encode(zlib.compress(text.encode(), 9)).decode("ascii"),

@@ -157,6 +157,7 @@ def test_verdicts_lead_a_report_of_rows_that_judge():
     text = report_html({"place-task-ompl": Evidence(Path("made"), rows, {})})
     places = [text.index(mark) for mark in ('id="verdicts"', "almost twice as fast", "<details")]
     assert places == sorted(places) and "not testable" in text and 'class="verdict holds"' in text
+    assert "prices of the published code" in text and "judgement.md" not in text, "a single file"
 
 
 # ---------------------------------------------------------------- committed rows
