@@ -241,6 +241,12 @@ def test_a_report_holds_all_its_parts_needs_no_network_and_names_are_text(page):
     assert "&lt;script&gt;alert(1)&lt;/script&gt;$x$" in page
 
 
+def test_a_report_shows_notes_without_marks_of_markdown():
+    text = pages.report_html(pages.evidence_of(RESULTS / "place-task-ompl"))
+    shown = re.sub(r"<script.*?</script>", "", text, flags=re.DOTALL)
+    assert "differ in samples alone" in shown and "`" not in shown and "](" not in shown
+
+
 def test_a_report_packs_its_rows_marks_the_best_and_colours_ratios(page):
     packed = re.search(r'id="data">([\w+/=]+)</script>', page)[1]
     data = json.loads(zlib.decompress(b64decode(packed)))
