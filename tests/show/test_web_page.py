@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from browser import BROWSER, Tab, until
 from PIL import Image
 
 from cvqmpt_lab.show import web_page
@@ -16,8 +17,6 @@ from cvqmpt_lab.show.visuals import drawn_pieces
 from cvqmpt_lab.show.web_page import save_page
 from cvqmpt_lab.tasks.world import World
 
-BROWSERS = map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))
-BROWSER = next(filter(None, BROWSERS), None)
 NODE = shutil.which("node")
 
 
@@ -88,6 +87,23 @@ def test_legends_name_every_curve_with_its_value(solution, tmp_path):
         solution.problem.robot.joint_names, solution.path.states[0], strict=True
     ):
         assert f"{name} {float(f'{value:.3g}'):g}" in joints
+
+
+@pytest.mark.skipif(BROWSER is None, reason="no Chromium is installed")
+def test_walls_do_not_hide_the_robot_from_any_side(solution, tmp_path):
+    save_page(solution, tmp_path / "plan.html")
+    largest = """(() => { // share of the picture that has one colour
+        const pixels = new Uint8Array(4 * canvas.width * canvas.height), counts = new Map();
+        gl.readPixels(0, 0, canvas.width, canvas.height, gl.RGBA, gl.UNSIGNED_BYTE, pixels);
+        for (const pixel of new Uint32Array(pixels.buffer))
+          counts.set(pixel, (counts.get(pixel) ?? 0) + 1);
+        return Math.max(...counts.values()) / (canvas.width * canvas.height); })()"""
+    with Tab(f"file://{tmp_path}/plan.html", tmp_path / "user", size=(700, 900)) as tab:
+        until(lambda: tab.text())
+        for azimuth in np.linspace(-np.pi, np.pi, 13):
+            tab.value(f"camera.azimuth = {azimuth}; draw()")
+            assert tab.value(largest) < 0.8, azimuth
+        assert not tab.said
 
 
 @pytest.mark.skipif(BROWSER is None, reason="no Chromium is installed")
