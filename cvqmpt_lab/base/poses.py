@@ -69,7 +69,7 @@ def ros_vector(value: Any) -> Any:
     """
     if not isinstance(value, Mapping):
         return value
-    known_fields(value, "a vector or quaternion", "xyzw")
+    known_fields(value, "a vector or quaternion", ("x", "y", "z", "w"))
     return [value[axis] for axis in "xyzw" if axis in value]
 
 
