@@ -16,7 +16,6 @@ from cvqmpt_lab.cli.problem_options import ROBOT_DETAILS
 from cvqmpt_lab.planning.margins import Margin
 from cvqmpt_lab.planning.planners import PLANNERS
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.robot.frame_speeds import with_frame_limits
 from cvqmpt_lab.robot.load import group_states, numbers_of, robot_from_source
 from cvqmpt_lab.robot.robot import FrameLimit, Robot
 from cvqmpt_lab.robot.source import with_absolute_paths
@@ -221,6 +220,8 @@ def with_tool_speed(args: argparse.Namespace, robot: Robot) -> Robot:
     """Return the robot with --tool-speed for its end effectors; without W their own one stays."""
     if args.tool_speed is None:
         return robot
+    from cvqmpt_lab.robot.frame_speeds import with_frame_limits  # few commands state a speed
+
     speed, *turning = args.tool_speed
     limits = dict(robot.frame_limits)
     for name in robot.end_effectors:

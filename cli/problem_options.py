@@ -158,7 +158,7 @@ PROBLEM: Options = {
     **CODE,
     "--clearance": option(
         "least distance of the robot and its load to obstacles, for planning and certificate (0, "
-        "or that of the file); for a task, a --margin",
+        "or that of the file); for a task, a margin",
         type=not_negative,
         metavar="M",
     ),

@@ -20,9 +20,9 @@ from cvqmpt_lab.base.codec import from_plain
 from cvqmpt_lab.base.errors import InvalidInputError, UnknownChoiceError, located, mapping, unique
 from cvqmpt_lab.base.poses import Pose
 from cvqmpt_lab.base.values import FloatArray, numbers
-from cvqmpt_lab.robot.collada import collada_unit
 from cvqmpt_lab.robot.robot import FrameLimit
 from cvqmpt_lab.robot.urdf import read_urdf
+from cvqmpt_lab.robot.urdf_bodies import collada_unit
 
 
 class PerJoint:

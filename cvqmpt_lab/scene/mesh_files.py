@@ -30,7 +30,7 @@ from cvqmpt_lab.geometry.convex import (
     require_volume,
     thickness,
 )
-from cvqmpt_lab.robot.collada import collada_unit
+from cvqmpt_lab.robot.urdf_bodies import collada_unit
 from cvqmpt_lab.scene.cloud_files import check_lengths, parsing, read_by_suffix
 from cvqmpt_lab.scene.shapes import MIN_THICKNESS_M
 

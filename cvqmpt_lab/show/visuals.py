@@ -12,11 +12,11 @@ import numpy as np
 from cvqmpt_lab.base.caches import cached_arrays, sources_digest
 from cvqmpt_lab.base.errors import InvalidInputError, few
 from cvqmpt_lab.base.poses import rigid, rotation_of_rpy
-from cvqmpt_lab.robot.collada import collada_unit
 from cvqmpt_lab.robot.hulls import triangles_of_file
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.robot.source import content_digest, mesh_path, read_source
 from cvqmpt_lab.robot.urdf import read_urdf
+from cvqmpt_lab.robot.urdf_bodies import collada_unit
 from cvqmpt_lab.scene.shapes import Box, Cylinder, Sphere
 from cvqmpt_lab.show.meshes import Colour, Mesh, hull_mesh, shape_mesh, unit
 

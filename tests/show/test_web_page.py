@@ -99,7 +99,7 @@ def test_walls_do_not_hide_the_robot_from_any_side(solution, tmp_path):
           counts.set(pixel, (counts.get(pixel) ?? 0) + 1);
         return Math.max(...counts.values()) / (canvas.width * canvas.height); })()"""
     with Tab(f"file://{tmp_path}/plan.html", tmp_path / "user", size=(700, 900)) as tab:
-        until(lambda: tab.text())
+        until(lambda: tab.value("document.readyState === 'complete'") and tab.text())
         for azimuth in np.linspace(-np.pi, np.pi, 13):
             tab.value(f"camera.azimuth = {azimuth}; draw()")
             assert tab.value(largest) < 0.8, azimuth
