@@ -101,7 +101,8 @@ def _lines(executions: Sequence[Execution], share: str) -> list[str]:
         "constraint  "
         + ("" if np.isnan(tilt) else f"tilt {tilt:.3g} rad, ")
         + f"{worst(one.outside_rad for one in executions):.2g} rad and "
-        f"{worst(one.outside_m for one in executions):.2g} m outside",
+        f"{worst(one.outside_m for one in executions):.2g} m outside bounds of positive width",
+        *_not_exact(executions),
         f"efforts     at their limits for {worst(one.saturated_s for one in executions):.3g} s",
     ]
     if first.drift_m is not None:
@@ -112,6 +113,25 @@ def _lines(executions: Sequence[Execution], share: str) -> list[str]:
         lines.append(f"placed      {1e3 * off:.2g} mm from its place")
     reason = f": {why}" if why else ""
     return [*lines, f"outcome     {outcome}{reason}"]
+
+
+def _not_exact(executions: Sequence[Execution]) -> list[str]:
+    """Return lines on values that bounds of width 0 fix, and on functions of the constraint."""
+    rad, m = np.max([(one.fixed_off_rad, one.fixed_off_m) for one in executions], axis=0)
+    fixed = [f"{x:.2g} {unit}" for x, unit in ((rad, "rad"), (m, "m")) if not np.isnan(x)]
+    inexact = "a controller cannot keep {} exactly"
+    lines = []
+    if fixed:
+        lines.append(
+            f"fixed       at most {' and '.join(fixed)} off the values that bounds of width 0 fix: "
+            + inexact.format("them")
+        )
+    for uses in zip(*(one.functions for one in executions), strict=True):
+        outside, off = np.max([use[1:] for use in uses], axis=0)
+        said = "" if np.isnan(outside) else f"; {outside:.2g} outside"
+        said += "" if np.isnan(off) else f"; at most {off:.2g} off: {inexact.format('it')}"
+        lines.append(f"function    {uses[0].name}{said}")
+    return lines
 
 
 def _task(

@@ -7,13 +7,14 @@ it is the same at two contact times, see `agreed`.
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.base.files import finite
 from cvqmpt_lab.certificate.certificate import CERTIFICATE_TOLERANCE
+from cvqmpt_lab.constraints.constraint import Constraint
 from cvqmpt_lab.constraints.report import displacements, excess
 from cvqmpt_lab.constraints.task_space_region import UNITS
 from cvqmpt_lab.execution.mjcf import LOAD_BODY, Physics
@@ -55,6 +56,26 @@ class Outcome(StrEnum):
     UNDECIDED = "undecided"
 
 
+class FunctionUse(NamedTuple):
+    """Largest violation of a function of the constraint, such as a coupling of joints.
+
+    Entries whose bounds have width 0 cannot be kept exactly by a controller: they are no fault.
+    """
+
+    name: str  # the function in words, with its bounds
+    outside: float  # of bounds of positive width [unit of the function]; nan: there are none
+    off: float  # of bounds of width 0 [unit of the function]; nan: there are none
+
+    @classmethod
+    def of(cls, function: Constraint, states: np.ndarray) -> "FunctionUse":
+        """Return the violation at states (m, n)."""
+        F, rows = np.abs(function.own_residual(states)).max(axis=0), function.rows
+        F[np.isnan(F)] = np.inf  # where a user's function has no value
+        wide = rows.lower < rows.upper
+        outside, off = (float(F[k].max()) if k.any() else np.nan for k in (wide, ~wide))
+        return cls(function.describe(), outside, off)
+
+
 @dataclass(frozen=True)
 class Execution:
     """Result of executing a motion or task once."""
@@ -67,6 +88,10 @@ class Execution:
     off_rad: float  # largest tracking error |q_d - q| of a joint [rad or m]
     outside_rad: float  # largest violation of a bound of rotation or tilt of positive width
     outside_m: float  # largest violation of a bound of position of positive width
+    # largest distance from values that bounds of width 0 fix, which no controller keeps exactly;
+    # nan: none is fixed
+    fixed_off_rad: float
+    fixed_off_m: float
     tilt_rad: float  # largest absolute value of a bounded rotation; nan: none is bounded
     contacts: tuple[Contact, ...]  # unwanted ones: grasping and placing are not among them
     saturated_s: float  # time during which some joint was at its effort limit
@@ -76,6 +101,7 @@ class Execution:
     placed: bool | None = None  # whether the load ends at its place; None: it is not put down
     placed_off_m: float | None = None  # distance of the load from its place
     arrival_rad: float = 0.0  # largest distance of a joint from the end of the motion [rad or m]
+    functions: tuple[FunctionUse, ...] = ()  # of the constraint, in its order
 
     @property
     def faults(self) -> list[str]:
@@ -90,6 +116,11 @@ class Execution:
             found.append(
                 f"the constraint is broken by {self.outside_rad:.2g} rad, {self.outside_m:.2g} m"
             )
+        found += [
+            f"{one.name} is broken by {one.outside:.2g}"
+            for one in self.functions
+            if one.outside > CERTIFICATE_TOLERANCE
+        ]
         # without a fault the hand stays within 3 mm, the position servo is 0.1 s behind (0.3 rad),
         # and arms arrive within some mrad
         if self.off_path_m > 0.02:
@@ -112,9 +143,13 @@ class Execution:
     @property
     def data(self) -> dict[str, Any]:
         """The result as plain data for json, without scene and samples."""
-        left_out = "scene", "samples", "contacts"
+        listed = {
+            "contacts": [contact._asdict() for contact in self.contacts],
+            "functions": [function._asdict() for function in self.functions],
+        }
+        left_out = "scene", "samples", *listed
         plain = {name: value for name, value in vars(self).items() if name not in left_out}
-        return finite(plain | {"contacts": [contact._asdict() for contact in self.contacts]})
+        return finite(plain | listed)
 
     @property
     def moments(self) -> Iterator[tuple[float, str, World]]:
@@ -369,7 +404,8 @@ def _judged(
     parts: problem, planned motion and samples of each motion.
     """
     off, tilt = 0.0, np.nan
-    outside = np.zeros(2)  # [rad], [m]
+    outside, fixed_off = np.zeros(2), np.full(2, np.nan)  # [rad], [m]
+    functions = dict[str, FunctionUse]()
     for problem, motion, samples in parts:
         executed = np.array([sample.q for sample in samples])
         planned = motion.sampled(0.01).positions
@@ -381,11 +417,20 @@ def _judged(
         off = max(off, float(nearest_places(planned_hands, hands)[1].max()))
         for region in problem.regions:
             x = displacements(problem.robot, region, executed)
-            beyond = np.where(region.wide, excess(region, x), 0.0).max(axis=0)
-            outside = np.maximum(outside, [beyond[unit == UNITS].max() for unit in ("rad", "m")])
+            beyond = excess(region, x).max(axis=0)
+            for k, unit in enumerate(("rad", "m")):
+                wide = (unit == UNITS) & region.wide
+                fixed = (unit == UNITS) & ~region.wide
+                outside[k] = beyond[wide].max(initial=outside[k])
+                if fixed.any():
+                    fixed_off[k] = beyond[fixed].max(initial=np.nan_to_num(fixed_off[k]))
             rows = [k for k in region.bounded_rows if region.wide[k] and 3 <= k <= 6]
             if rows:
                 tilt = float(np.nanmax([tilt, np.abs(x[:, rows]).max()]))
+        for function in problem.manifold.functions:
+            use = FunctionUse.of(function, executed)
+            before = functions.get(use.name, use)
+            functions[use.name] = FunctionUse(use.name, *np.fmax(before[1:], use[1:]).tolist())
     scene, first = world.scene, world.samples[0]
     load = world.physics.free or next(iter(world.physics.welded), None)
     if load is not None and first.T_world_load is not None:
@@ -401,9 +446,12 @@ def _judged(
         arrival_rad=world.errors[-1],
         outside_rad=float(outside[0]),
         outside_m=float(outside[1]),
+        fixed_off_rad=float(fixed_off[0]),
+        fixed_off_m=float(fixed_off[1]),
         tilt_rad=tilt,
         contacts=tuple(world.touched.values()),
         saturated_s=1e-3 * world.saturated,
         scene=scene,
         samples=tuple(world.samples),
+        functions=tuple(functions.values()),
     )

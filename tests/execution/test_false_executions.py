@@ -8,6 +8,7 @@ import trimesh
 from small_arms import carried, gantry, problem_of
 
 from cvqmpt_lab.base.poses import pose
+from cvqmpt_lab.cli.execute_command import _lines
 from cvqmpt_lab.execution.execute import execute_motion
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import robot_from_source
@@ -23,11 +24,13 @@ def block(name, x, z=0.0, size=(0.1, 0.1, 0.1)):
     return {"name": name, "shape": shape, "T_world_object": pose((x, 0.5, z)).tolist()}
 
 
-def executed(folder, distance, hand="left", things=(), objects=(), begin=0.0, **limits):
+def executed(
+    folder, distance, hand="left", things=(), objects=(), begin=0.0, constraint=(), **limits
+):
     """The execution of a motion of the left carriage from 0 to a distance [m] in 1 s."""
     states = np.zeros((2, 1 if hand == "left" else 2))
     states[1, 0] = distance
-    problem = problem_of(folder, gantry(), states, (hand,), things, objects=objects)
+    problem = problem_of(folder, gantry(), states, (hand,), things, constraint, objects)
     if limits:
         robot = robot_from_source({**problem.robot.source, **limits})
         problem = problem.changed(robot=robot)
@@ -92,3 +95,37 @@ def test_pieces_of_a_carried_mesh_share_its_mass_and_are_executed_together(tmp_p
     data = json.loads((tmp_path / "problem.json").read_text())
     assert PlanningProblem.from_dict(problem.to_dict()).attachments[0].mass == masses[0] < 3.0
     assert data["attachments"][0]["mass"] == 3.0
+
+
+def coupling(upper, lower=0.0, **others):
+    """A bound of the left carriage, as a joint coupling in json."""
+    factors = {"left_rail": 1.0, **others}
+    return {"joint-coupling": {"factors": factors, "lower": lower, "upper": upper}}
+
+
+def test_couplings_of_joints_are_judged_and_those_of_width_0_are_stated(tmp_path):
+    """Reports once said 0 rad and 0 m outside for any of them."""
+    wide = coupling(0.2, lower=-1.0)
+    found = executed(tmp_path, 0.3, constraint=[wide])
+    (use,) = found.functions
+    assert use.outside == pytest.approx(0.1, abs=1e-3) and np.isnan(use.off)
+    assert found.faults == [f"left_rail from -1 to 0.2 is broken by {use.outside:.2g}"]
+    assert executed(tmp_path, 0.15, constraint=[wide]).faults == []
+    found = executed(tmp_path, 0.3, "wrist", constraint=[coupling(0.0, left_turn=-1.0)])
+    (use,) = found.functions
+    assert use.off == pytest.approx(0.3, abs=1e-3) and np.isnan(use.outside)
+    assert found.faults == [] and found.data["functions"][0]["off"] == use.off
+    told = [line for line in _lines([found, found], "") if line.startswith("function")]
+    assert told == [
+        f"function    left_rail - left_turn from 0 to 0; at most {use.off:.2g} off: a controller "
+        "cannot keep it exactly"
+    ]
+
+
+def test_the_deviation_from_values_that_a_region_fixes_is_stated(tmp_path):
+    """The plane x = 0 has width 0, and the motion leaves it by 0.3 m."""
+    plane = {"plane": {"normal": [1.0, 0.0, 0.0], "point": [0.0, 0.0, 0.0]}}
+    found = executed(tmp_path, 0.3, constraint=[plane])
+    assert found.fixed_off_m == pytest.approx(0.3, abs=1e-3) and np.isnan(found.fixed_off_rad)
+    (line,) = (line for line in _lines([found], "") if line.startswith("fixed"))
+    assert line.startswith("fixed       at most 0.3 m off the values that bounds of width 0 fix")
