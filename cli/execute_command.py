@@ -20,6 +20,7 @@ from cvqmpt_lab.cli.options import (
     one_of,
     option,
     positive,
+    refuse_changed,
     refuse_given,
 )
 from cvqmpt_lab.cli.plan_command import FILM_SUFFIX
@@ -142,7 +143,7 @@ def _task(
     refuse_given(args, ["hold"], "goes with a problem; in a task fingers hold by friction")
     timing = TimingSettings(speed=_speed(args))
     margin = margin_of_task(args)
-    solution = solve_task(task, "birrt", budget(args), args.seed, timing, margin=margin)
+    solution = solve_task(task, "birrt", budget(args), args.seed, timing, args.backend, margin)
     executions = [execute_task(solution, args.controller, time) for time in times]
     return executions, _at_speed(args)
 
@@ -159,6 +160,9 @@ def _motion(
             f"--speed {args.speed:g} goes with a planned motion or a path; {args.motion} has times "
             "of its own: leave it out, or plan again with --speed"
         )
+    if found is not None:
+        why = f"is for planning; the motion of {args.motion} is not planned: leave one of them out"
+        refuse_changed(args, {**MARGIN, **SEED, **BUDGET}, why)
     # refused before anything is planned
     require_simulated(problem)
     Controller(args.controller, problem.robot)
@@ -187,7 +191,9 @@ def _planned(args: argparse.Namespace, problem: PlanningProblem) -> Trajectory:
     settings = TimingSettings(speed=_speed(args))
     problem.robot.joint_limits.scaled(_speed(args))
     method = planner_named(default_planner(problem)[0])
-    solution, _ = solve_with_margin(problem, method, budget(args), args.seed, margin)
+    solution, _ = solve_with_margin(
+        problem, method, budget(args), args.seed, margin, backend=args.backend
+    )
     if not solution.solved or solution.path is None:
         raise InvalidInputError(
             f"problem {problem.name} is not solved: {solution.plan.detail or solution.status}"

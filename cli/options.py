@@ -96,6 +96,27 @@ def refuse_given(args: argparse.Namespace, names: Iterable[str], why: str) -> No
             raise InvalidInputError(f"--{name.replace('_', '-')} {why}")
 
 
+def refuse_changed(args: argparse.Namespace, options: Options, why: str) -> None:
+    """Refuse options whose values are not their defaults, where they would have no effect.
+
+    Args:
+        args: parsed command line.
+        options: the options, perhaps in groups.
+        why: reason and cure, which follow option and value in the message.
+    """
+    for names, settings in options.items():
+        if all(isinstance(setting, Mapping) for setting in settings.values()):
+            refuse_changed(args, settings, why)
+            continue
+        name = names.split()[-1]
+        value = getattr(args, name.lstrip("-").replace("-", "_"))
+        flag = settings.get("action") == "store_true"
+        if value != settings.get("default", False if flag else None):
+            # values that argparse has changed are not shown
+            shown = isinstance(value, str | int | float | Path) and not flag
+            raise InvalidInputError(f"{name} {value} {why}" if shown else f"{name} {why}")
+
+
 def log(text: str) -> None:
     """Print a line on standard error at once."""
     print(text, file=sys.stderr, flush=True)

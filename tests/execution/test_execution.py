@@ -245,3 +245,18 @@ def test_the_speed_of_a_timed_motion_is_its_own(carrying, capsys, tmp_path):
     save_trajectory(motion, tmp_path / "m.json")
     words = ("execute", tmp_path / "p.json", "--motion", tmp_path / "m.json", "--speed", "0.3")
     assert "m.json has times of its own: leave it out" in command_refused(capsys, *words)
+
+
+@pytest.mark.parametrize(
+    "option",
+    ["--margin 0.01", "--margin-angle 0.1", "--cutoff 1.0", "--iterations 5", "--cost 1.0"]
+    + ["--seed 3", "--prices published", "--backend exact"],
+)
+def test_options_of_planning_are_refused_with_a_motion(option, carrying, capsys, tmp_path):
+    """They were ignored without a word."""
+    problem, motion = carrying
+    problem.save(tmp_path / "p.json")
+    save_trajectory(motion, tmp_path / "m.json")
+    words = ("execute", tmp_path / "p.json", "--motion", tmp_path / "m.json", *option.split())
+    said = command_refused(capsys, *words)
+    assert f"{option} is for planning; the motion of {tmp_path / 'm.json'}" in said
