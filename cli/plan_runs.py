@@ -20,7 +20,14 @@ from cvqmpt_lab.base.jit import compile_in_processes
 from cvqmpt_lab.base.values import bound_text
 from cvqmpt_lab.benchmarks.declarations import SUITES
 from cvqmpt_lab.benchmarks.suite import suite_named
-from cvqmpt_lab.cli.options import ProgressBar, as_json, compiling, refuse_given, writable_file
+from cvqmpt_lab.cli.options import (
+    ProgressBar,
+    as_json,
+    compiling,
+    refuse_changed,
+    refuse_given,
+    writable_file,
+)
 from cvqmpt_lab.cli.plan_command import FILM_SUFFIX, OPTIMIZE_S, PAGE_SUFFIX, RECORDING_SUFFIX
 from cvqmpt_lab.cli.problem_arguments import (
     budget,
@@ -33,6 +40,7 @@ from cvqmpt_lab.cli.problem_arguments import (
     robot_source,
     with_limits,
 )
+from cvqmpt_lab.cli.problem_options import SCAN
 from cvqmpt_lab.planning.margins import Kept, Margin, kept_by, solve_keeping
 from cvqmpt_lab.planning.planners import default_planner, planner_named
 from cvqmpt_lab.planning.solution import Solution, solution_data
@@ -174,11 +182,11 @@ def _solved_task(
 def _problem_or_task(args: argparse.Namespace) -> PlanningProblem | Task:
     """Return the problem or task that the command line names."""
     name_file(args)
-    scan_options = (args.intrinsics, args.extrinsics, args.level, args.down, args.crop)
-    if not args.cloud and any(scan_options):
-        raise InvalidInputError(
-            "--intrinsics, --extrinsics, --level, --down and --crop describe a scan; give --cloud"
-        )
+    if not args.cloud:
+        refuse_changed(args, SCAN, "describes a scan; give --cloud")
+    elif not motion_given(args):
+        why = "makes obstacles of a scan, for --start and --goal; those of a problem are its own"
+        refuse_changed(args, SCAN["obstacles made from the scan"], f"{why}: leave it out")
     given = [
         name for name in ("suite", "problem_file", "task_file") if getattr(args, name) is not None
     ]

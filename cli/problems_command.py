@@ -44,6 +44,7 @@ from cvqmpt_lab.cli.options import (
     one_of,
     option,
     positive_int,
+    refuse_changed,
     refuse_given,
     writable_file,
 )
@@ -53,7 +54,7 @@ from cvqmpt_lab.cli.problem_arguments import (
     name_file,
     robot_source,
 )
-from cvqmpt_lab.cli.problem_options import CODE, ROBOT, pose_region
+from cvqmpt_lab.cli.problem_options import CODE, ROBOT, ROBOT_DETAILS, pose_region
 from cvqmpt_lab.constraints.goals import SAMPLE_MARGIN_M, find_in_region
 from cvqmpt_lab.constraints.named import Region, rpy_of, upper_axis
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
@@ -79,6 +80,9 @@ def run(args: argparse.Namespace) -> None:
     for name, actions in goes_with.items():
         if args.action not in actions:
             refuse_given(args, [name], f"goes with {' or '.join(actions)}, not with {args.action}")
+    if args.action != "new":
+        why = f"describes the robot of a new problem: it goes with new, not with {args.action}"
+        refuse_changed(args, ROBOT_DETAILS, why)
     ACTIONS[args.action](args)
 
 
