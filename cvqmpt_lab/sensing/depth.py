@@ -34,6 +34,8 @@ from cvqmpt_lab.scene.cloud_files import (
 from cvqmpt_lab.scene.scene import log, refuse_far_poses
 from cvqmpt_lab.sensing.camera import Intrinsics, View
 
+NO_DEPTH = 2**16 - 1  # in images of 16 bits, as 0
+
 
 def read_capture(
     path: Path | str,
@@ -63,13 +65,17 @@ def read_capture(
     pixels = deprojected(read_depth(path, lens, scale), lens).reshape(-1, 3)
     points = pixels[np.isfinite(pixels[:, 2])]
     if len(points) == 0:
-        raise InvalidInputError(f"depth image {path} has no depth: every pixel is 0 or not finite")
+        raise InvalidInputError(
+            f"depth image {path} has no depth: every pixel is 0, 65535 or not finite"
+        )
     check_lengths(points, f"depth image {path}")
     return Cloud(points, len(pixels) - len(points), T)
 
 
 def read_depth(path: Path | str, lens: Intrinsics, scale: float | None = None) -> FloatArray:
     """Read depth (height, width) along the camera's axis [m]; NaN: none; errors name the file.
+
+    No depth is 0, what is not finite, and the largest value of 16 bits, 65535.
 
     scale: length of a unit in the file [m]; None: 1 mm for integers, 1 m for floats.
     """
@@ -79,6 +85,9 @@ def read_depth(path: Path | str, lens: Intrinsics, scale: float | None = None) -
     with np.errstate(over="ignore", invalid="ignore"):
         depth = unit * image.astype(np.float64)
     depth[~(np.isfinite(depth) & (depth > 0.0))] = np.nan
+    if image.dtype == np.uint16:
+        # many cameras write it where they measured nothing; a ray to it would free unknown space
+        depth[image == NO_DEPTH] = np.nan
     return depth
 
 
@@ -92,7 +101,7 @@ def write_depth(path: Path | str, depth: FloatArray, scale: float = 0.001) -> No
     """Write depth (height, width) [m] as a 16-bit PNG, `scale` [m] per unit; 0: no depth."""
     with np.errstate(invalid="ignore"):
         units = np.rint(depth / scale)
-    units[~(units < 2**16)] = 0.0
+    units[~(units < NO_DEPTH)] = 0.0
     from PIL import Image  # imported here: only depth images need it
 
     stream = io.BytesIO()

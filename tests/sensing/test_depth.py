@@ -36,6 +36,22 @@ def test_whole_numbers_are_millimetres(kind, tmp_path):
     np.testing.assert_allclose(found, 0.007)
 
 
+@pytest.mark.parametrize("name", ["a.png", "a.npy"])
+def test_the_largest_value_of_16_bits_is_no_depth(name, tmp_path):
+    """It was a point 65.5 m away, whose ray freed unknown space."""
+    image = np.array([[7, 65535, 65534], [0, 65535, 9]], dtype=np.uint16)
+    if name == "a.png":
+        Image.fromarray(image).save(tmp_path / name)
+    else:
+        np.save(tmp_path / name, image)
+    found = read_depth(tmp_path / name, Intrinsics(3, 2, 100.0, 120.0, 1.0, 0.5))
+    np.testing.assert_allclose(found, [[0.007, np.nan, 65.534], [np.nan, np.nan, 0.009]])
+    # 32 bits count further
+    np.save(tmp_path / "b.npy", image.astype(np.int32))
+    found = read_depth(tmp_path / "b.npy", Intrinsics(3, 2, 100.0, 120.0, 1.0, 0.5))
+    assert found[0, 1] == pytest.approx(65.535)
+
+
 def test_pixels_without_depth_stay_holes_of_the_organised_cloud():
     camera = Intrinsics(3, 2, 100.0, 120.0, 1.0, 0.5)
     cloud = deprojected(np.array([[1.0, np.nan, 2.0], [1.0, 1.0, 1.0]]), camera)
