@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from small_arms import gantry, problem_of
 
 from cvqmpt_lab.base.poses import pose, rotation_matrices
 from cvqmpt_lab.certificate.between_states import least_slack
@@ -160,3 +161,28 @@ def test_phases_of_a_task_keep_what_their_start_and_goals_allow(task):
     solved = solve_task(task, "birrt", Budget(seconds=20.0), 0, margin=Margin())
     assert solved.solved
     assert all("mm" in outcome.margin for outcome in solved.outcomes)
+
+
+def test_goals_are_left_out_with_the_bounds_of_the_problem(tmp_path):
+    """A bound of 0.3 rad was stated as 0.295 rad, of which the margin was taken off."""
+    states = np.array([[0.0, 0.0], [0.5, 0.1]])
+    bound = {"fixed-orientation": {"rpy": [0.0, 0.0, 0.0], "tolerance": 0.3}}
+    problem = problem_of(tmp_path, gantry(), states, ("wrist",), constraint=[bound])
+    goals = np.array([[0.5, 0.1], [0.5, 0.298], [0.5, 0.5]])
+    found, kept = solve_with_margin(
+        problem.changed(goals=goals), "birrt", Budget(iterations=100), 0
+    )
+    near, outside = found.left_out
+    assert found.solved and kept == "2 mm, 0.005 rad"
+    assert near == "goal 1 keeps less than the margin, 2 mm, 0.005 rad"
+    assert outside.startswith("goal 2 breaks `fixed-orientation` by 0.2 rad")
+    assert "0.5 of 0.3 rad" in outside
+
+
+def test_the_margin_names_functions_to_which_none_is_kept(tmp_path):
+    states = np.array([[0.0, 0.0], [0.5, 0.1]])
+    bound = {"joint-coupling": {"factors": {"left_turn": 1.0}, "lower": -1.0, "upper": 0.3}}
+    problem = problem_of(tmp_path, gantry(), states, ("wrist",), constraint=[bound])
+    found, kept = solve_with_margin(problem, "birrt", Budget(iterations=100), 0)
+    assert found.solved
+    assert kept == "2 mm, 0.005 rad; none to the bounds of left_turn from -1 to 0.3"

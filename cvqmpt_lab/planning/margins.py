@@ -5,7 +5,7 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 
-from cvqmpt_lab.base.errors import InvalidInputError, InvalidProblemError
+from cvqmpt_lab.base.errors import InvalidInputError, InvalidProblemError, few
 from cvqmpt_lab.certificate.certificate import certify, deviation_tolerated
 from cvqmpt_lab.constraints.goals import Goals, goals_of
 from cvqmpt_lab.constraints.project import PROJECTION_TOLERANCE
@@ -13,7 +13,7 @@ from cvqmpt_lab.constraints.report import displacements, excess
 from cvqmpt_lab.constraints.task_space_region import UNITS, TaskSpaceRegion
 from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.planning.solution import Solution
-from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.problem import PlanningProblem, usable_goals
 from cvqmpt_lab.search.method import Method
 from cvqmpt_lab.search.result import Budget, JointPath
 
@@ -42,6 +42,7 @@ class Kept(NamedTuple):
     used: Margin | None  # None: none is kept
     asked: Margin
     why: str = ""  # the reason if less is kept than was asked for
+    without: str = ""  # functions of the constraint, to whose bounds no margin is kept, in words
 
     def __str__(self) -> str:
         """Return the margin in words, with the reason if it is smaller."""
@@ -50,7 +51,8 @@ class Kept(NamedTuple):
         if self.used is None:
             return f"none of {_text(self.asked)}: {self.why}"
         used = _text(self.used)
-        return f"{used} of {_text(self.asked)}: {self.why}" if self.why else used
+        text = f"{used} of {_text(self.asked)}: {self.why}" if self.why else used
+        return f"{text}; none to the bounds of {self.without}" if self.without else text
 
 
 def with_margin(
@@ -173,10 +175,32 @@ def solve_keeping(
     found = replace(
         found,
         problem=problem,
+        left_out=_left_out(problem, goals.configurations, found.left_out, used),
         certificate=replace(found.certificate, tolerated=tolerated),
         goal_seconds=goals.seconds,
     )
-    return found, Kept(used, margin, why)
+    functions = few((one.describe() for one in problem.manifold.functions), 3)
+    return found, Kept(used, margin, why, functions)
+
+
+def _left_out(
+    problem: PlanningProblem, goals: np.ndarray, texts: tuple[str, ...], margin: Margin
+) -> tuple[str, ...]:
+    """Return why goals were left out, with the bounds of the problem instead of tighter ones.
+
+    Args:
+        problem: the problem.
+        goals: all its goals (k, n) [rad or m].
+        texts: reasons with the margin, each of which begins with "goal" and its number.
+        margin: what was kept.
+    """
+    if not texts:
+        return ()
+    _, own = usable_goals(problem, goals)
+    why = {tuple(text.split()[:2]): text for text in own}
+    labels = [tuple(text.split()[:2]) for text in texts]
+    less = f"keeps less than the margin, {_text(margin)}"
+    return tuple(why.get(label, f"{' '.join(label)} {less}") for label in labels)
 
 
 def kept_by(problem: PlanningProblem, path: JointPath, kept: Kept) -> Kept:
@@ -199,7 +223,7 @@ def kept_by(problem: PlanningProblem, path: JointPath, kept: Kept) -> Kept:
     for one, reason in ((least, why), (metres, less), (radians, less)):
         inner, _, _ = with_margin(problem, goal, one)
         if one != NO_MARGIN and certify(inner, path).valid:
-            return Kept(one, kept.asked, reason)
+            return Kept(one, kept.asked, reason, kept.without)
     return Kept(None, kept.asked, less)
 
 
