@@ -218,6 +218,9 @@ class PlanningProblem(Document):
         for region in self.regions:
             # refuses frames that do not exist or do not move
             region.links(self.robot)
+        for function in functions_of(self.constraint):
+            # refuses joints that do not exist, and links without mass
+            function.on(self.robot)
         ends = [region for region in (self.start_region, self.goal_region) if region is not None]
         for name in (
             *(region.end_effector for region in ends),

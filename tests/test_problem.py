@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from refusals import DATA, refused
+from small_arms import gantry, problem_of
 
 from cvqmpt_lab.base.errors import InvalidProblemError
 from cvqmpt_lab.base.poses import pose
@@ -277,3 +278,13 @@ def test_a_goal_stays_where_a_whole_turn_of_a_joint_would_break_the_constraint()
     check_problem(problem)
     free = replace(problem, constraint=())
     np.testing.assert_allclose(free.goals[0, [0, 3]], [6.0 - 2 * np.pi, 3.0 - 2 * np.pi])
+
+
+def test_an_unknown_joint_of_a_coupling_is_refused_with_the_file(tmp_path):
+    """The file was not named: the joint was refused while planning."""
+    bound = {"joint-coupling": {"factors": {"left_rial": 1.0}}}
+    states = np.zeros((2, 1))
+    told = (
+        f"{tmp_path / 'problem.json'}: unknown joint of robot gantry in joint-coupling 'left_rial'"
+    )
+    refused(told, problem_of, tmp_path, gantry(), states, ("left",), constraint=[bound])
