@@ -29,6 +29,7 @@ from cvqmpt_lab.robot.hulls import (
     hulls_of_meshes,
     left_out_pairs,
     link_geometry,
+    srdf_oddities,
     srdf_root,
 )
 from cvqmpt_lab.robot.joint_limits_file import (
@@ -473,6 +474,7 @@ def _without_uncompared(root: ElementTree.Element, srdf: str) -> list[str]:
         for body in bodies:
             link.remove(body)
     lines = {
+        **srdf_oddities(described),
         "named by the SRDF, but no links of the URDF": [one for one in named if one not in links],
         "compared with nothing, by the SRDF": alone,
         "compared only with the links that the SRDF enables, not with obstacles": partly,

@@ -241,3 +241,17 @@ def test_links_that_only_the_srdf_names_are_named(edited, tmp_path):
     srdf.write_text('<robot><disable_collisions link1="tool0" link2="wrist"/></robot>')
     notes = load_robot(edited(), "tool", srdf=srdf).notes
     assert notes == ["named by the SRDF, but no links of the URDF: tool0"]
+
+
+def test_elements_of_an_srdf_without_effect_are_named(edited, tmp_path):
+    """A misspelt element or attribute left no pair out, and nothing said so."""
+    srdf = tmp_path / "arm.srdf"
+    srdf.write_text(
+        '<robot><disable_default_collision link="wrist"/><group name="arm"/>'
+        '<disable_collisions link="elbow" link2="wrist"/></robot>'
+    )
+    notes = load_robot(edited(), "tool", srdf=srdf).notes
+    assert notes == [
+        "elements of the SRDF that are not known and have no effect: disable_default_collision",
+        "elements of the SRDF without effect: <disable_collisions> without link1",
+    ]
