@@ -158,24 +158,36 @@ def _card(recipe: SceneRecipe, out: Path) -> str:
 
 
 def _describe(recipe: SceneRecipe, out: Path, command: list[str]) -> None:
-    """Write dataset.json; if there is one, compare its recipe."""
+    """Write dataset.json; if there is one, compare its recipe and its robot."""
     settings = json.loads(json.dumps(asdict(recipe)))
     path = out / DESCRIPTION_FILE
-    if path.exists():
-        existing = read_json_object(path).get("recipe", {})
-        if existing != settings:
-            raise InvalidInputError(
-                f"{out} holds a dataset of another recipe, {existing}; choose another --out"
-            )
-        return
     robot = robot_from_source(recipe.robot)
-    description = {
-        "schema": DATASET_SCHEMA,
+    of_robot = {
         "robot": robot.name,
         "lower": robot.lower.tolist(),
         "upper": robot.upper.tolist(),
         "joints": list(robot.joint_names),
         "kinematics_digest": robot.kinematics_digest,
+        "robot_files": [digest for _, digest in robot.files],
+    }
+    if path.exists():
+        existing = read_json_object(path)
+        if existing.get("recipe", {}) != settings:
+            raise InvalidInputError(
+                f"{out} holds a dataset of another recipe, {existing.get('recipe', {})}; choose "
+                "another --out"
+            )
+        # the recipe names a URDF, which may have changed; datasets of earlier versions lack fields
+        differ = [name for name, value in of_robot.items() if existing.get(name, value) != value]
+        if differ:
+            raise InvalidInputError(
+                f"{out} holds a dataset of robot {robot.name!r} as it was before its files changed "
+                f"({', '.join(differ)} differ); restore them or choose another --out"
+            )
+        return
+    description = {
+        "schema": DATASET_SCHEMA,
+        **of_robot,
         "families": list(recipe.families),
         "kinematics": to_plain(serial_chain(robot)),
         "recipe": settings,
@@ -192,6 +204,11 @@ def serial_chain(robot: Robot) -> SerialChain:
         raise InvalidInputError(
             f"robot {robot.name}: {names} mimic planned joints, which no network follows: lock the "
             "joints that they mimic, or plan without a network"
+        )
+    if (kinematics.parent != np.arange(robot.dof)).any():
+        raise InvalidInputError(
+            f"robot {robot.name}: its joints branch, as those of two arms, and networks know only "
+            "chains: give one --end-effector, or plan without a network"
         )
     hand, T = robot.hand()
     offsets = np.zeros((robot.dof, 3))

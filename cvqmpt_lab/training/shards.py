@@ -2,8 +2,9 @@
 
 ``cvqmpt data generate`` writes::
 
-    dataset.json        schema 1, robot, lower, upper [rad], joints, kinematics_digest, families,
-                        kinematics (a vqmpt.config.SerialChain), recipe, provenance
+    dataset.json        schema 1, robot, lower, upper [rad], joints, kinematics_digest,
+                        robot_files (sha256 of each), families, kinematics (a
+                        vqmpt.config.SerialChain), recipe, provenance
     shards/NNNNNN.npz   the arrays of `PATH_ARRAYS`, or of `LABEL_ARRAYS` with --labels roadmap
     roadmap.npz         a `RoadmapGraph`, with --labels roadmap
 

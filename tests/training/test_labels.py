@@ -108,6 +108,32 @@ def test_a_folder_that_another_run_writes_or_of_another_recipe_is_refused(tiny):
         refused("another recipe", make, tiny, replace(TINY, **change))
 
 
+def test_a_dataset_is_not_continued_with_a_robot_whose_files_changed(
+    two_scenes_a_shard, slider_arm_urdf, tmp_path
+):
+    urdf = tmp_path / "arm.urdf"
+    shutil.copy(slider_arm_urdf, urdf)
+    robot = {"urdf": str(urdf), "end_effector": "tool"}
+    recipe = replace(TINY, scenes=4, robot=robot)
+    make(tmp_path / "data", recipe)
+    (tmp_path / "data" / "shards" / "000001.npz").unlink()
+    text = urdf.read_text()
+    for change, fields in (
+        (('upper="2"', 'upper="1"'), "upper, kinematics_digest, robot_files"),
+        (("</robot>", "</robot>\n"), "robot_files"),
+    ):
+        urdf.write_text(text.replace(*change))
+        refused(rf"before its files changed \({fields} ", make, tmp_path / "data", recipe)
+    urdf.write_text(text)
+    make(tmp_path / "data", recipe)
+
+
+def test_a_robot_with_two_arms_is_refused(tmp_path):
+    two = replace(TINY, robot={"name": "baxter"})
+    refused("joints branch.* give one --end-effector", make, tmp_path, two)
+    assert not (tmp_path / "dataset.json").exists()
+
+
 def test_link_positions_of_a_robot_with_a_slider_are_those_of_its_kinematics(slider_arm):
     chain = generation.serial_chain(slider_arm)
     q = slider_arm.random_configurations(np.random.default_rng(0), 20)
