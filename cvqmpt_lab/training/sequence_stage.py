@@ -29,6 +29,7 @@ from cvqmpt_lab.training.dataset import VALIDATION_EVERY
 from cvqmpt_lab.training.sequence_dataset import SequenceDataset
 from cvqmpt_lab.training.stage import Batches, OptimizerSettings, Stage, means
 from cvqmpt_lab.vqmpt.checkpoint import Checkpoint
+from cvqmpt_lab.vqmpt.code_nodes import code_noise, drawn_nodes
 from cvqmpt_lab.vqmpt.config import SceneTransformerConfig, Size
 
 Cloud = Mapping[str, Tensor]
@@ -97,20 +98,26 @@ class SequenceStage(Stage):
             device: device to train on.
 
         Raises:
-            InvalidInputError: the dictionary is for another robot, labels have no kinematics, or
-                there are fewer scenes than in a batch.
+            InvalidInputError: the dictionary is not that of the labels or paths, labels have no
+                kinematics, or there are fewer scenes than in a batch.
         """
         super().__init__(settings.optimizer, seed, device)
         self.dataset, self.dictionary, self.settings = dataset, dictionary, settings
         self._links, self._longest = links, longest
         if dataset.graph is not None:
             nodes, codes = len(dataset.graph.nodes), dictionary.config.dictionary.n_codes
+            same = "give --dictionary DIR, the same as to cvqmpt data generate"
             if dictionary.robot.differences(dataset.robot) or nodes != codes:
                 raise InvalidInputError(
                     f"{dataset.folder} labels the roadmap of a dictionary of robot "
                     f"{dataset.robot.name!r} with {nodes} codes, but this one is of "
-                    f"{dictionary.robot.name!r} with {codes}; give --dictionary DIR, the same as "
-                    "to cvqmpt data generate"
+                    f"{dictionary.robot.name!r} with {codes}; {same}"
+                )
+            apart = np.abs(nodes_of(dictionary) - dataset.graph.nodes).max()
+            if apart > 1e-3:
+                raise InvalidInputError(
+                    f"{dataset.folder} labels the roadmap of another dictionary, whose nodes are "
+                    f"up to {apart:.2g} rad or m from those of this one; {same}"
                 )
             if dataset.chain is None:
                 raise InvalidInputError(
@@ -310,6 +317,22 @@ class SequenceStage(Stage):
         edges = torch.from_numpy(self.dataset.graph.edges.astype(np.int64)).to(self.device)
         start, goal = chosen(batch["starts"], batch["start"]), chosen(batch["goals"], batch["goal"])
         return roadmap_successors(nodes, edges, self._links, start, goal, batch["codes"])
+
+
+def nodes_of(dictionary: Checkpoint) -> np.ndarray:
+    """Return the nodes (codes, n) [rad or m] of a dictionary's roadmap.
+
+    `codebook.dictionary_nodes` does the same in numpy, with compiled functions.
+    """
+    module, robot = dictionary.modules["dictionary"], dictionary.robot
+    with torch.no_grad():
+        gaussians = module.decode(module.quantizer.embedding.weight)
+    means, covariances = (
+        part.double().cpu().numpy() for part in (gaussians.mean, gaussians.covariance)
+    )
+    lower, span = np.array(robot.lower), np.subtract(robot.upper, robot.lower)
+    noise = code_noise(*means.shape)
+    return drawn_nodes(lower + means * span, covariances * np.outer(span, span), robot, noise)
 
 
 def chosen(values: Tensor, rows: Tensor) -> Tensor:

@@ -14,6 +14,7 @@ from cvqmpt_lab.base.codec import from_plain
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.vqmpt.code_nodes import code_noise, drawn_nodes
 from cvqmpt_lab.vqmpt.config import LAYER_NORM_EPSILON, SerialChain
 from cvqmpt_lab.vqmpt.weights import (
     TRAINED_BY,
@@ -295,32 +296,3 @@ def require_own_dictionary(model: StoredModel, tolerance: float = 1e-3) -> None:
         raise InvalidInputError(
             f"transformer was trained on the codes of another dictionary; {TRAINED_BY[TRANSFORMER]}"
         )
-
-
-def drawn_nodes(
-    means: np.ndarray, covariances: np.ndarray, robot: Robot | RobotSignature, noise: np.ndarray
-) -> np.ndarray:
-    """Draw one configuration from each code's Gaussian: q_i = mu_i + L_i eps_i, within the limits.
-
-    Means concentrate near the centre of the training paths; samples cover the distribution of their
-    waypoints.
-
-    Args:
-        means: mu (codes, n) [rad].
-        covariances: L L^T (codes, n, n) [rad^2].
-        robot: arm to whose joint limits the samples are clipped.
-        noise: eps (codes, n), standard normal.
-
-    Returns:
-        Configurations (codes, n) [rad].
-    """
-    draws = means + np.einsum("kij,kj->ki", np.linalg.cholesky(covariances), noise)
-    return np.clip(draws, robot.lower, robot.upper)
-
-
-def code_noise(codes: int, n: int, seed: int = 4) -> np.ndarray:
-    """Return standard normal numbers (codes, n) for `drawn_nodes`.
-
-    The seed was the best of six on the tuning problems.
-    """
-    return np.random.default_rng(seed).standard_normal((codes, n))

@@ -33,6 +33,7 @@ from cvqmpt_lab.search.planner_interface import (
 from cvqmpt_lab.search.result import Budget, JointPath, Timings
 from cvqmpt_lab.search.roadmap import Roadmap, linked_roadmap
 from cvqmpt_lab.sensing.observation import CameraSettings, Observer
+from cvqmpt_lab.vqmpt.code_nodes import code_noise, drawn_nodes
 from cvqmpt_lab.vqmpt.code_predictors import (
     CodePredictor,
     CodeProposal,
@@ -44,13 +45,7 @@ from cvqmpt_lab.vqmpt.code_predictors import (
     ranked_goals,
     solved_path,
 )
-from cvqmpt_lab.vqmpt.codebook import (
-    Codebook,
-    code_noise,
-    codes_of,
-    dictionary_nodes,
-    drawn_nodes,
-)
+from cvqmpt_lab.vqmpt.codebook import Codebook, codes_of, dictionary_nodes
 from cvqmpt_lab.vqmpt.latent_update import LatentOptimizer, LatentSettings
 from cvqmpt_lab.vqmpt.mpnet_rollouts import MPNetNetwork, MPNetRollouts
 from cvqmpt_lab.vqmpt.sampler_choice import SamplerChoice

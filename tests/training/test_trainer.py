@@ -276,3 +276,14 @@ def test_fine_tuning_begins_with_the_shipped_weights_and_learns_motions(labels):
         optimizer.step()
     assert found[-1] < 0.9 * found[0]
     refused("fine_tune needs a --dictionary", stage_of, labels, "smoke", fine_tune=True)
+
+
+@pytest.mark.parametrize("stage", ["transformer", "published"])
+def test_labels_of_another_dictionary_of_the_same_robot_are_refused(labels, tmp_path, stage):
+    words = load_checkpoint(resolve_model(None, VQ_MPT))
+    codes = words.modules["dictionary"].quantizer.embedding.weight.data
+    codes[[0, 1]] = codes[[1, 0]]  # as after a training with another seed, in the least case
+    save_checkpoint(tmp_path / "other", words)
+    prepare = replace(SMOKE, transformer=replace(SMOKE.transformer, **LABELLED)).stage
+    told = "labels the roadmap of another dictionary.* give --dictionary"
+    refused(told, prepare, stage, labels, tmp_path / "other", 0, CPU)
