@@ -203,7 +203,10 @@ class Trainer:
                     if stop:
                         raise KeyboardInterrupt
                     if over_within_epoch:
-                        self._keep_if_best(self._validate(), progress.epoch)
+                        # replaced by the first whole epoch; a later epoch that is not whole is not
+                        # kept, so that the model does not depend on where a training was stopped
+                        if progress.best is None:
+                            self._keep_if_best(self._validate(), progress.epoch)
                         break
                 else:
                     self._end_epoch()

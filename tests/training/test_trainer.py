@@ -143,6 +143,20 @@ def test_a_stopped_training_continues(tmp_path, data, published_dictionary, stag
     assert weights(tmp_path / "parts") == weights(tmp_path / "whole")
 
 
+def test_the_model_does_not_depend_on_where_the_time_limit_stopped_a_training(tmp_path, data):
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    go("stage1", data, whole)
+    first = None
+    for step in range(1, 12):  # each call takes one step; an epoch has 6
+        assert not go("stage1", data, parts, minutes=1e-9).finished
+        if step == 6:
+            first = weights(parts)
+    # in the second epoch the model is better after each step, but no epoch of it is whole
+    assert weights(parts) == first
+    go("stage1", data, parts)
+    assert curves(parts) == curves(whole) and weights(parts) == weights(whole)
+
+
 def test_a_seed_repeats_and_another_differs(tmp_path, data, dictionary):
     # processes that prepare batches change nothing
     go("stage1", data, tmp_path / "same", workers=1)
