@@ -19,7 +19,7 @@ from cvqmpt_lab.sensing.camera import (
 )
 from cvqmpt_lab.sensing.crop import Crop
 from cvqmpt_lab.training.dataset import Shapes
-from cvqmpt_lab.vqmpt.config import Size
+from cvqmpt_lab.vqmpt.config import NotNegative, Share, Size
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,11 +28,11 @@ class CloudSettings:
 
     points: Size = 1024
     crop: Crop = field(default_factory=Crop)
-    noise: float = 0.003  # standard deviation of every coordinate [m]
-    occlusion: float = 0.5  # probability that only surfaces facing a camera have points
+    noise: NotNegative = 0.003  # standard deviation of every coordinate [m]
+    occlusion: Share = 0.5  # probability that only surfaces facing a camera have points
     cameras: Size = 4  # maximum number of cameras at random places
-    density: float = 0.3  # standard deviation of the logarithm of each shape's density of points
-    measured: float = 0.0  # probability that the cloud comes from depth images instead
+    density: NotNegative = 0.3  # standard deviation of the logarithm of each shape's density
+    measured: Share = 0.0  # probability that the cloud comes from depth images instead
 
     def without_augmentation(self) -> "CloudSettings":
         """Return settings for validation: uniform by area, without noise and hidden surfaces."""

@@ -25,7 +25,7 @@ from torch import Tensor
 from cvqmpt_lab.training.dataset import BaseTurn, PathDataset
 from cvqmpt_lab.training.stage import Batches, OptimizerSettings, Stage
 from cvqmpt_lab.vqmpt.checkpoint import Checkpoint
-from cvqmpt_lab.vqmpt.config import ModelConfig, Size
+from cvqmpt_lab.vqmpt.config import ModelConfig, NotNegative, Positive, Share, Size
 from cvqmpt_lab.vqmpt.dictionary import Dictionary, Gaussians, LinkPositions, Quantized
 
 
@@ -33,21 +33,21 @@ from cvqmpt_lab.vqmpt.dictionary import Dictionary, Gaussians, LinkPositions, Qu
 class Stage1Settings:
     """How the dictionary is trained."""
 
-    epochs: int = 20
+    epochs: Size = 20
     batch: Size = 64  # rows of a batch, which are paths
     # An encoder of single waypoints gets rows of this many random waypoints instead of paths. So
     # the parts of the loss keep their published proportions.
     row: Size = 32
     batches_per_epoch: Size | None = None  # maximum number; None for all paths
-    spacing: float | None = None  # distance of waypoints along a path [rad]; None for all
-    trivial_share: float = 0.15  # maximum share of paths whose straight line is free
+    spacing: Positive | None = None  # distance of waypoints along a path [rad]; None for all
+    trivial_share: Share = 0.15  # maximum share of paths whose straight line is free
     turn_base: bool = False  # whether paths are rotated about the base at random
-    entropy_weight: float = 0.1  # w, which keeps Gaussians wide
+    entropy_weight: NotNegative = 0.1  # w, which keeps Gaussians wide
     # number of steps between restarts of rarely used codes (if `data_initialised`)
     restart_every: int = 200
     restart_epochs: int = 10  # number of first epochs that have restarts
-    restart_below: float = 0.02  # codes used less than this share of the mean are restarted
-    validation_paths: int = 1000  # maximum number
+    restart_below: NotNegative = 0.02  # codes used less than this share of the mean are restarted
+    validation_paths: Size = 1000  # maximum number
     optimizer: OptimizerSettings = field(default_factory=lambda: OptimizerSettings(rate=1e-3))
 
 
@@ -57,7 +57,7 @@ def stage1_loss(
     u: Tensor,
     visible: Tensor,
     commitment: float,
-    entropy_weight: float = 0.1,
+    entropy_weight: NotNegative = 0.1,
 ) -> dict[str, Tensor]:
     """Compute the loss of the module's docstring.
 

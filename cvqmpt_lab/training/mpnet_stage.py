@@ -19,7 +19,7 @@ from cvqmpt_lab.training.clouds import CloudSettings, sample_cloud
 from cvqmpt_lab.training.dataset import BaseTurn, PathDataset
 from cvqmpt_lab.training.stage import Batches, OptimizerSettings, Stage
 from cvqmpt_lab.vqmpt.checkpoint import Checkpoint
-from cvqmpt_lab.vqmpt.config import MPNetConfig, Size
+from cvqmpt_lab.vqmpt.config import MPNetConfig, Positive, Share, Size
 
 
 class MPNet(nn.Module):
@@ -78,18 +78,18 @@ class SceneBatchSettings:
     scenes: Size = 16
     paths_per_scene: Size = 4  # if a scene has fewer paths, one repeats with weight 0
     batches_per_epoch: Size | None = None  # maximum number; None for all paths
-    spacing: float | None = None  # distance of waypoints along a path [rad]; None for all
-    trivial_share: float = 0.15  # maximum share of paths whose straight line is free
+    spacing: Positive | None = None  # distance of waypoints along a path [rad]; None for all
+    trivial_share: Share = 0.15  # maximum share of paths whose straight line is free
     turn_base: bool = False  # whether scene and paths are rotated about the base at random
     cloud: CloudSettings = field(default_factory=CloudSettings)
-    validation_paths: int = 512  # maximum number
+    validation_paths: Size = 512  # maximum number
 
 
 @dataclass(frozen=True, kw_only=True)
 class MPNetSettings:
     """How MPNet is trained; clouds must have the number of points that the network takes."""
 
-    epochs: int = 20
+    epochs: Size = 20
     batches: SceneBatchSettings = field(default_factory=lambda: SceneBatchSettings(spacing=0.5))
     optimizer: OptimizerSettings = field(default_factory=lambda: OptimizerSettings(rate=3e-4))
 

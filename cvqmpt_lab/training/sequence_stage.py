@@ -40,7 +40,7 @@ Cloud = Mapping[str, Tensor]
 class RoadmapSettings:
     """How a sequence model is trained on sequences of codes."""
 
-    epochs: int = 30
+    epochs: Size = 30
     batches_per_epoch: Size = 400
     scenes: Size = 4  # scenes of a batch
     paths: Size = 96  # sequences of each scene

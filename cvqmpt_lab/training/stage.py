@@ -13,6 +13,7 @@ from torch.utils.data import Dataset
 
 from cvqmpt_lab.training.dataset import TrainingData
 from cvqmpt_lab.vqmpt.checkpoint import Checkpoint
+from cvqmpt_lab.vqmpt.config import Dropout, NotNegative, Positive, Share
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,15 +21,15 @@ class OptimizerSettings:
     """Adam or Adagrad with a learning rate schedule: warm-up, then decay."""
 
     kind: Literal["adam", "adagrad"] = "adam"
-    rate: float  # peak of the learning rate, after the warm-up
+    rate: Positive  # peak of the learning rate, after the warm-up
     warmup: int = 200  # steps of the linear warm-up
     # decay by the inverse square root of the step (published), by a cosine, or none
     schedule: Literal["inverse-sqrt", "cosine", "constant"] = "inverse-sqrt"
-    final: float = 0.02  # last rate of a cosine, as share of the peak
-    betas: tuple[float, float] = (0.9, 0.98)
-    epsilon: float = 1e-9
-    weight_decay: float = 0.0
-    clip: float | None = None  # maximum norm of the gradient; None for no limit
+    final: Share = 0.02  # last rate of a cosine, as share of the peak
+    betas: tuple[Dropout, Dropout] = (0.9, 0.98)
+    epsilon: Positive = 1e-9
+    weight_decay: NotNegative = 0.0
+    clip: Positive | None = None  # maximum norm of the gradient; None for no limit
 
     def build(self, module: nn.Module) -> torch.optim.Optimizer:
         """Make the optimizer of a module's parameters."""

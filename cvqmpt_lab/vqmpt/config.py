@@ -22,6 +22,9 @@ Depth = Annotated[int, Condition(int, lambda n: 1 <= n <= 64, "1 to 64")]
 Dropout = Annotated[
     float, Condition(float, lambda share: 0.0 <= share < 1.0, "0 or more, and less than 1")
 ]
+Share = Annotated[float, Condition(float, lambda share: 0.0 <= share <= 1.0, "0 to 1")]
+Positive = Annotated[float, Condition(float, lambda x: x > 0.0, "more than 0")]
+NotNegative = Annotated[float, Condition(float, lambda x: x >= 0.0, "0 or more")]
 
 
 @dataclass(frozen=True, kw_only=True)

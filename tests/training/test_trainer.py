@@ -236,6 +236,23 @@ def test_profiles_survive_json_and_give_rates():
     assert found == pytest.approx([0.5, 1.0, 0.55, 0.1])
 
 
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("stage1.validation_paths", 0),
+        ("stage1.trivial_share", -1.0),
+        ("stage1.epochs", 0),
+        ("stage1.optimizer.rate", -1.0),
+        ("stage1.optimizer.betas", (2.0, 0.9)),
+        ("mpnet.batches.trivial_share", 1.5),
+        ("mpnet.batches.cloud.noise", -0.1),
+        ("published.cloud.occlusion", 2.0),
+    ],
+)
+def test_settings_with_which_no_training_can_run_are_named(field, value):
+    refused(rf"{field}.* is .*; it must be", changed, TINY, {field: value})
+
+
 def test_the_command_line(tmp_path, cvqmpt, capsys, data):
     config, out = tmp_path / "mine.json", str(tmp_path / "x")
     config.write_text(json.dumps(to_plain(TINY)))
