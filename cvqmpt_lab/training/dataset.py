@@ -202,7 +202,8 @@ def open_dataset(folder: Path) -> PathDataset:
             f"{folder} holds labels on a roadmap, not paths; make those: cvqmpt data generate "
             "--labels paths"
         )
-    return PathDataset(**description, arrays=joined(read_shards(folder, PATH_ARRAYS), PATH_ARRAYS))
+    shards = read_shards(folder, PATH_ARRAYS, len(description["robot"].lower))
+    return PathDataset(**description, arrays=joined(shards, PATH_ARRAYS))
 
 
 def holds_labels(folder: Path) -> bool:

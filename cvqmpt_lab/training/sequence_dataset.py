@@ -68,7 +68,8 @@ def open_labels(folder: Path) -> SequenceDataset:
             "--labels roadmap"
         )
     graph = RoadmapGraph.read(folder)
-    arrays = joined(read_shards(folder, LABEL_ARRAYS), LABEL_ARRAYS)
+    shards = read_shards(folder, LABEL_ARRAYS, len(description["robot"].lower))
+    arrays = joined(shards, LABEL_ARRAYS)
     count = np.diff(arrays["code_start"])
     found = np.isfinite(arrays["cost"]) & (count > 0)
     for name, column in LABEL_ARRAYS.items():

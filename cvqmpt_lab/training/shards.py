@@ -74,6 +74,7 @@ LABEL_ARRAYS = SCENE_ARRAYS | {
     "link_code": Column("end", "uint16"),
     "link_free": Column("end", "bool"),
 }
+CONFIGURATIONS = {"waypoints", "ends", "link_end"}  # arrays whose last axis are the joints
 
 
 def shard_files(folder: Path) -> list[Path]:
@@ -81,12 +82,19 @@ def shard_files(folder: Path) -> list[Path]:
     return sorted((folder / SHARDS_FOLDER).glob("[0-9]*.npz"))
 
 
-def read_shards(folder: Path, columns: Mapping[str, Column]) -> list[dict[str, np.ndarray]]:
+def read_shards(
+    folder: Path, columns: Mapping[str, Column], joints: int | None = None
+) -> list[dict[str, np.ndarray]]:
     """Read the arrays named in `columns` from every shard of a folder.
 
+    Args:
+        folder: folder of the dataset.
+        columns: arrays to read.
+        joints: number of the robot's joints; None: no array of configurations is read.
+
     Raises:
-        InvalidInputError: there is no shard, a shard is missing between others, or one is damaged
-            or lacks an array.
+        InvalidInputError: there is no shard, a shard is missing between others, or one is damaged,
+            lacks an array or has another number of joints.
     """
     files = shard_files(folder)
     if not files:
@@ -97,7 +105,16 @@ def read_shards(folder: Path, columns: Mapping[str, Column]) -> list[dict[str, n
                 f"{folder / SHARDS_FOLDER} lacks shard {number:06d} but has {path.name}: generate "
                 "again with the same options, which adds the missing shards"
             )
-    return [_arrays(path, columns) for path in files]
+    shards = [_arrays(path, columns) for path in files]
+    for path, shard in zip(files, shards, strict=True):
+        for name in sorted(CONFIGURATIONS & shard.keys()):
+            shape = shard[name].shape
+            if shape[-1:] != (joints,):
+                raise InvalidInputError(
+                    f"{path}: {name} has shape {shape}, but the robot of {DESCRIPTION_FILE} has "
+                    f"{joints} joints: delete this shard and generate again"
+                )
+    return shards
 
 
 def joined(

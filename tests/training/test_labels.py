@@ -169,7 +169,7 @@ def graph(labelled):
 @pytest.fixture(scope="module", params=[0, 1])
 def scene(request, labelled):
     """Return row and exact checker of a scene of the first shard, and the shard's arrays."""
-    arrays, row = read_shards(labelled, LABEL_ARRAYS)[0], request.param
+    arrays, row = read_shards(labelled, LABEL_ARRAYS, 7)[0], request.param
     shapes = family_scene(FEW.families[arrays["family"][row]], int(arrays["scene_seed"][row]))
     return row, CollisionChecker(panda(), shapes), arrays
 

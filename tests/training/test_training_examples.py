@@ -270,6 +270,7 @@ def test_shards_that_lack_an_array_or_hold_objects_and_missing_splits_are_named(
     bad = {"pickle": arrays | {"family": np.array([{}], dtype=object)}}
     for name in ("waypoints", "trivial"):
         bad[name] = {key: array for key, array in arrays.items() if key != name}
+    bad["has 7 joints"] = arrays | {"waypoints": arrays["waypoints"][:, :6]}
     for message, found in bad.items():
         folder = write_dataset(tmp_path / message, shards=())
         write_shard(folder, 0, found)
