@@ -144,3 +144,17 @@ def test_a_chunk_without_states_is_not_certified(problem):
     empty = Motion(problem.robot.joint_names, np.empty((0, 7)), np.empty(0))
     judged = judge(empty, problem, last=JointState(*np.zeros((3, 7))))
     assert "states have shape (0, 7)" in judged.first_fault.text
+
+
+def test_lists_tensors_and_float32_are_judged_like_arrays(plan, problem):
+    torch = pytest.importorskip("torch")
+    times = np.linspace(0.0, 0.3, 16, dtype=np.float32)
+    parts = [part.astype(np.float32) for part in (plan.at(times).positions, times)]
+    state = JointState(*plan.at(0.0))
+    first = judge(Motion(None, *(part.astype(float) for part in parts)), problem, last=state)
+    for form in (np.ndarray.tolist, torch.from_numpy, np.asfortranarray):
+        found = judge(Motion(None, *map(form, parts)), problem, last=state)
+        np.testing.assert_array_equal(found.check.states, first.check.states)
+        assert found.certified == first.certified and found.clearance_m == first.clearance_m
+    refused("motion.positions is .* must be numbers", Motion, None, parts[0] + 1j)
+    refused("motion.times is .* must be numbers", Motion, None, parts[0], ["now"] * 16)

@@ -108,7 +108,10 @@ class Trajectory:
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """A path or trajectory as read from a file; numbers may be nan or infinite."""
+    """A path or trajectory as read from a file; numbers may be nan or infinite.
+
+    Lists, tensors and arrays of other types become arrays of float64.
+    """
 
     joint_names: tuple[str, ...] | None  # n names; None: the file has no names
     positions: np.ndarray  # (m, n) [rad or m]
@@ -119,6 +122,10 @@ class Motion:
     limits: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        for name in ("positions", "times", "velocities", "accelerations"):
+            value: Any = getattr(self, name)
+            if value is not None and getattr(value, "dtype", None) != np.float64:
+                object.__setattr__(self, name, numbers(value, f"motion.{name}"))
         # the curves through positions alone would ignore them
         if self.accelerations is not None and self.velocities is None:
             raise InvalidInputError(
