@@ -23,6 +23,7 @@ from cvqmpt_lab.cli.options import (
     own_command,
     positive,
     positive_int,
+    refuse_given,
 )
 from cvqmpt_lab.results.provenance import provenance
 from cvqmpt_lab.vqmpt.weights import (
@@ -38,7 +39,10 @@ from cvqmpt_lab.vqmpt.weights import (
 
 def model(args: argparse.Namespace) -> None:
     """Report on weights, or convert them and report."""
+    if args.action == "info":
+        refuse_given(args, ("dictionary_dir", "ar_dir", "out"), "is for import; leave it out")
     if args.action == "import":
+        refuse_given(args, ["model"], "is for info; give --out for the imported model")
         for name in ("dictionary_dir", "ar_dir", "out"):
             if getattr(args, name) is None:
                 raise InvalidInputError(f"import: give --{name.replace('_', '-')} DIR")

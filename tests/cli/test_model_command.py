@@ -44,6 +44,15 @@ def test_published_folders_are_converted_and_predict(
     assert "exists and is not empty; choose another --out" in refused(capsys, *words.split())
 
 
+def test_options_of_the_other_action_are_refused(capsys, tmp_path):
+    for words, told in (
+        (["info", "--out", tmp_path], "--out is for import; leave it out"),
+        (["info", "--ar-dir", tmp_path], "--ar-dir is for import; leave it out"),
+        (["import", "--model", "mpnet"], "--model is for info; give --out"),
+    ):
+        assert told in refused(capsys, "model", *words)
+
+
 def test_models_are_found_by_name_or_folder_for_one_robot(panda, slider_arm, tmp_path):
     assert resolve_model() == resolve_model("vq_mpt") == WEIGHTS_FOLDER / "vq_mpt"
     found = resolve_model(architecture="mpnet", robot=robot_signature(panda))
