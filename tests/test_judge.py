@@ -158,3 +158,9 @@ def test_lists_tensors_and_float32_are_judged_like_arrays(plan, problem):
         assert found.certified == first.certified and found.clearance_m == first.clearance_m
     refused("motion.positions is .* must be numbers", Motion, None, parts[0] + 1j)
     refused("motion.times is .* must be numbers", Motion, None, parts[0], ["now"] * 16)
+
+
+def test_what_is_no_motion_is_refused(problem):
+    path = np.zeros((2, 7))
+    refused(r"motion .*give Motion\(joint_names, positions, times\)", judge, path, problem)
+    refused("velocities, but no times", Motion, None, path, None, path)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.base.errors import InvalidInputError
+from cvqmpt_lab.base.errors import InvalidInputError, require_kind
 from cvqmpt_lab.base.values import FULL_TURN_RAD
 from cvqmpt_lab.certificate.certificate import Certificate, Fault, FaultKind, certify
 from cvqmpt_lab.certificate.limit_use import (
@@ -137,6 +137,7 @@ def dry_run(
     Raises InvalidInputError for joints of another robot, positions in degrees, and times that do
     not increase.
     """
+    require_kind("motion", motion, Motion, "give Motion(joint_names, positions, times)")
     ends = ends or Ends()
     motion = motion.of_joints(problem.robot.joint_names)
     states, robot = motion.positions, problem.robot

@@ -57,7 +57,7 @@ def stage1_loss(
     u: Tensor,
     visible: Tensor,
     commitment: float,
-    entropy_weight: NotNegative = 0.1,
+    entropy_weight: float = 0.1,
 ) -> dict[str, Tensor]:
     """Compute the loss of the module's docstring.
 

@@ -132,6 +132,11 @@ class Motion:
                 "the motion has accelerations, but no velocities: give both, or leave the "
                 "accelerations out"
             )
+        if self.velocities is not None and self.times is None:
+            raise InvalidInputError(
+                "the motion has velocities, but no times: give the times, or leave the velocities "
+                "out to judge a path"
+            )
 
     def of_joints(self, names: tuple[str, ...]) -> Motion:
         """Reorder the joints as in `names`; InvalidInputError if the joints are others."""
