@@ -33,12 +33,15 @@ def few(names: Iterable[str], most: int = 8, counted: str = "{} in all") -> str:
     return f"{', '.join(every[:most])}, ... ({counted.format(len(every))})"
 
 
-def nearest(value: object, choices: Iterable[object]) -> str:
-    """Return "; did you mean 'x'?" with the most similar choice, or "" if none is similar."""
+def nearest(value: object, choices: Iterable[object], alike: float = 0.6) -> str:
+    """Return "; did you mean 'x'?" with the most similar choice, or "" if none is similar.
+
+    alike: similarity, from 0 to 1, from which a choice counts as similar.
+    """
     import difflib  # imported here: only errors need it
 
     plain = {str(choice).lower(): str(choice) for choice in choices}
-    found = difflib.get_close_matches(str(value)[:MAX_VALUE_CHARACTERS].lower(), plain, 1)
+    found = difflib.get_close_matches(str(value)[:MAX_VALUE_CHARACTERS].lower(), plain, 1, alike)
     return f"; did you mean {plain[found[0]]!r}?" if found else ""
 
 

@@ -17,6 +17,7 @@ from pathlib import Path
 from cvqmpt_lab.base.errors import (
     InvalidInputError,
     located,
+    nearest,
     require_choice,
     shown,
     unique,
@@ -176,6 +177,11 @@ def _joint(element: ElementTree.Element, path: Path, most_turn: float = 1e5) -> 
             raise InvalidInputError(f"{attribute} is {shown(text)}, not a number") from error
 
     with located(f"joint {shown(element.get('name', ''))} of {path.name}"):
+        limits = ("lower", "upper", "velocity", "effort")
+        for attribute in limit.attrib:
+            # files have private attributes, too; a misspelled limit would count as 0
+            if attribute not in limits and nearest(attribute, limits, alike=0.8):
+                require_choice("attribute of its <limit>", attribute, limits)
         for attribute in ("velocity", "effort"):
             value = number(limit, attribute, 0.0)
             if not 0.0 <= value < math.inf:

@@ -195,6 +195,24 @@ def test_what_would_change_the_shape_of_the_robot_is_not_skipped(edited, old, ne
     refused(message, load_robot, edited((old, new)), "tool")
 
 
+@pytest.mark.parametrize(
+    ("name", "wrong"),
+    [("upper", "uper"), ("lower", "Lower"), ("velocity", "velocty"), ("effort", "efort")],
+)
+def test_misspelled_limits_are_refused(edited, name, wrong):
+    """An end counted as 0, so that the joint moved within half of its range."""
+    urdf = edited((LIFT_END, LIFT_END.replace(name, wrong)))
+    message = f"joint 'lift' of arm.urdf: .*attribute of its <limit> '{wrong}'; .*mean '{name}'"
+    refused(message, load_robot, urdf, "tool")
+
+
+def test_private_attributes_of_limits_are_accepted(edited):
+    """ANYmal's file has gear_velocity and command_effort."""
+    private = LIFT_END.replace("/>", ' gear_velocity="10" acceleration="2" command_effort="9"/>')
+    robot = load_robot(edited((LIFT_END, private)), "tool")
+    assert (robot.lower[1], robot.upper[1]) == (-2.0, 2.0)
+
+
 def test_joints_are_planned_within_their_soft_limits(edited):
     soft = (LIFT_END, LIFT_END + SAFETY.format(-0.5, 5))
     robot = load_robot(edited(soft), "tool")
