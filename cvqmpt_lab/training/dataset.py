@@ -6,6 +6,7 @@ for validation, the others for training. `shards` describes the folder on disk a
 """
 
 import hashlib
+import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,12 +15,13 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 
 from cvqmpt_lab.base.codec import from_plain
-from cvqmpt_lab.base.errors import InvalidInputError
+from cvqmpt_lab.base.errors import InvalidInputError, mapping
 from cvqmpt_lab.base.files import read_bytes, read_json_object
 from cvqmpt_lab.training.shards import (
     DESCRIPTION_FILE,
     FULL_SCALE,
     PATH_ARRAYS,
+    SHARD_SCENES,
     RoadmapGraph,
     joined,
     read_shards,
@@ -215,7 +217,7 @@ def read_dataset_description(folder: Path) -> dict[str, Any]:
     """Read a dataset's description: the fields of `TrainingData` without the arrays.
 
     Raises:
-        InvalidInputError: it is missing, malformed, or of another schema.
+        InvalidInputError: it is missing, malformed, or of another schema, or shards are missing.
     """
     folder = Path(folder)
     path = folder / DESCRIPTION_FILE
@@ -245,8 +247,10 @@ def read_dataset_description(folder: Path) -> dict[str, Any]:
         raise InvalidInputError(
             f"{path}: kinematics has {len(chain.rotation)} joints, lower {len(robot.lower)}"
         )
+    files = shard_files(folder)
+    _require_complete(description, path, len(files))
     digest = hashlib.sha256()
-    for file in (path, *shard_files(folder)):
+    for file in (path, *files):
         digest.update(hashlib.sha256(read_bytes(file)).digest())
     return {
         "folder": folder,
@@ -255,3 +259,24 @@ def read_dataset_description(folder: Path) -> dict[str, Any]:
         "chain": chain,
         "sha256": digest.hexdigest(),
     }
+
+
+def _require_complete(description: Mapping[str, Any], path: Path, shards: int) -> None:
+    """Refuse a dataset whose generation was interrupted: training would use a part of its scenes.
+
+    Args:
+        description: content of the description's file; some have no recipe or no provenance.
+        path: that file.
+        shards: number of shards of the dataset.
+    """
+    recipe = mapping(description.get("recipe", {}), f"{path}: recipe")
+    scenes = from_plain(int, recipe.get("scenes", 0), f"{path}: recipe.scenes")
+    asked = -(-scenes // SHARD_SCENES)
+    if shards < asked:
+        session = mapping(description.get("provenance", {}), f"{path}: provenance")
+        words = from_plain(tuple[str, ...], session.get("command", ()), f"{path}: command")
+        command = shlex.join(words) or "cvqmpt data generate with the same options"
+        raise InvalidInputError(
+            f"{path.parent} has {shards} of {asked} shards: its generation was interrupted; add "
+            f"the others: {command}"
+        )

@@ -32,6 +32,7 @@ from cvqmpt_lab.training.shards import (
     DESCRIPTION_FILE,
     PATH_ARRAYS,
     SCENE_ARRAYS,
+    SHARD_SCENES,
     SHARDS_FOLDER,
     WAYPOINT_SPACING_RAD,
     Column,
@@ -54,7 +55,7 @@ class SceneRecipe(ABC):
     columns: ClassVar[Mapping[str, Column]]  # arrays of a shard
     first_scene: ClassVar = 10_000_000  # scenes of evaluation suites have smaller numbers
     most_scenes: ClassVar = 1_000_000  # scene numbers of each seed
-    shard_scenes: ClassVar = 16  # scenes of a shard
+    shard_scenes: ClassVar = SHARD_SCENES
 
     scenes: int  # number of scenes; families take turns
     paths_per_scene: int  # pairs of start and goal tried in each scene; some give no label

@@ -25,6 +25,7 @@ from cvqmpt_lab.base.files import read_bytes, write_bytes
 
 DESCRIPTION_FILE = "dataset.json"
 SHARDS_FOLDER = "shards"
+SHARD_SCENES = 16  # scenes of a shard
 FULL_SCALE = 65535.0  # value of a stored joint at its upper limit
 WAYPOINT_SPACING_RAD = 0.13  # [rad] maximum distance of neighbouring waypoints of a path
 LINKS_PER_END = 20  # nearest nodes of a roadmap that a start or goal is linked to

@@ -265,6 +265,19 @@ def test_damaged_and_missing_files_and_descriptions_that_do_not_fit_are_named(da
         refused(message, open_dataset, write_dataset(tmp_path / message[:5], **changes))
 
 
+def test_a_dataset_whose_last_shards_are_missing_is_refused_with_the_command_that_adds_them(
+    tmp_path,
+):
+    """The rest was read without a word, and trained on."""
+    ran = {"command": ["cvqmpt", "data", "generate", "--scenes", "40", "--out", "my data"]}
+    made = {"recipe": {"scenes": 40}, "provenance": ran}
+    message = "has 2 of 3 shards: .*: cvqmpt data generate --scenes 40 --out 'my data'$"
+    refused(message, open_dataset, write_dataset(tmp_path / "part", **made))
+    whole = write_dataset(tmp_path / "whole", shards=((20, 1), (40, 3), (5, 6)), **made)
+    assert len(open_dataset(whole).arrays["scene_seed"]) == 6
+    refused("recipe.scenes", open_dataset, write_dataset(tmp_path / "x", recipe={"scenes": "4"}))
+
+
 def test_shards_that_lack_an_array_or_hold_objects_and_missing_splits_are_named(tmp_path):
     arrays = shard(np.random.default_rng(5), (7, 8), 3)
     bad = {"pickle": arrays | {"family": np.array([{}], dtype=object)}}
