@@ -189,8 +189,10 @@ class Task(Document):
         scene, held = self.scene, None
         for number, phase in enumerate(self.phases):
             with located(f"task {self.name!r}, phase {number} {phase.name!r}"):
-                if isinstance(phase, Move) and phase.configuration is not None:
-                    _check_configuration(robot, phase.configuration)
+                if isinstance(phase, Move):
+                    _check_frames(robot, phase)
+                    if phase.configuration is not None:
+                        _check_configuration(robot, phase.configuration)
                 scene, held = _after(phase, scene, held)
 
     @classmethod
@@ -235,6 +237,15 @@ def _check_configuration(robot: Robot, q: np.ndarray) -> None:
         raise InvalidInputError(
             f"configuration: {outside[0]} leaves its limits by {outside[1]:.2g}"
         )
+
+
+def _check_frames(robot: Robot, move: Move) -> None:
+    """Refuse a region of a frame that the robot lacks, or that cannot reach a goal."""
+    for region in move.constraint:
+        region.links(robot)
+    for region in (move.goal, *move.through):
+        robot.hand(region.end_effector)
+        region.links(robot)
 
 
 def _after(

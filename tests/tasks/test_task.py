@@ -1,5 +1,6 @@
 """Tasks: refused sequences of phases; whole tasks planned, with every phase certified."""
 
+import json
 import time
 from dataclasses import replace
 
@@ -21,7 +22,7 @@ from cvqmpt_lab.search.method import Method
 from cvqmpt_lab.search.planner_interface import Stages
 from cvqmpt_lab.search.result import Budget, Counters, PlanResult, PlanStatus
 from cvqmpt_lab.tasks.solve import solve_task, task_lines
-from cvqmpt_lab.tasks.task import Grasp, Move, Release
+from cvqmpt_lab.tasks.task import Grasp, Move, Release, Task
 from cvqmpt_lab.tasks.world import World, phase_goals
 
 
@@ -249,6 +250,17 @@ def test_a_move_to_a_configuration_ends_there(task):
 )
 def test_a_configuration_that_the_arm_cannot_take_is_refused(task, q, told):
     refused(told, changed, task, "reach-can", configuration=q)
+
+
+@pytest.mark.parametrize("where", ["goal", "constraint", "through"])
+def test_an_unknown_frame_of_a_region_names_file_and_phase(task, tmp_path, where):
+    """The message named neither, and came when the phase was planned."""
+    data, path = task.to_dict(), tmp_path / "task.json"
+    phase = data["phases"][4]
+    region = {**phase["goal"], "end_effector": "nohand"}
+    phase[where] = region if where == "goal" else [region]
+    path.write_text(json.dumps(data))
+    refused(f"{path}: .*phase 4 'reach-can': unknown .*'nohand'", Task.load, path)
 
 
 def test_the_report_states_the_margin_that_each_phase_keeps(task_solution):
