@@ -82,7 +82,7 @@ def network_codes(
     return CodeProposal(
         query.uniform,
         timings + Timings(predict=query.deadline.seconds - began),
-        f"{len(codes)} codes of {len(polylines)} sequences to {len(goals)} goals",
+        f"codes: {len(codes)}, sequences: {len(polylines)}, goals: {len(goals)}",
         codes=np.array(codes, dtype=np.int64),
         goals=goals,
         polylines=tuple(polylines),
@@ -101,7 +101,7 @@ def random_codes(
         count: number of codes to draw, about as many as predictors give.
     """
     drawn = query.rng.choice(codes, min(count, codes), replace=False)
-    detail, goals = f"{len(drawn)} codes at random", query.nearest_goals(3)
+    detail, goals = f"codes at random: {len(drawn)}", query.nearest_goals(3)
     return CodeProposal(query.uniform, detail=detail, codes=drawn, goals=goals)
 
 
@@ -126,7 +126,7 @@ def oracle_codes(
         return replace(found, detail="no unconstrained path", failure=plan.status)
     codes = np.unique(codes_of(path.spaced(spacing)))
     timings = Timings(predict=query.deadline.seconds - began)
-    detail = f"{len(codes)} codes of an unconstrained path"
+    detail = f"codes of an unconstrained path: {len(codes)}"
     goals = path.states[-1:]
     return replace(
         found, timings=timings, detail=detail, codes=codes, goals=goals, polylines=(path.states,)

@@ -164,7 +164,7 @@ class LearnedSampler:
             codes_of_lines.append(codes[np.concatenate([[0], changes])])
         codes = np.concatenate(codes_of_lines)
         predict = (found.timings.predict or 0.0) + query.deadline.seconds - began
-        detail = f"{len(codes)} of every waypoint"
+        detail = f"codes of every waypoint: {len(codes)}"
         if found.detail:
             detail = f"{found.detail}, {detail}"
         timings = replace(found.timings, predict=predict)

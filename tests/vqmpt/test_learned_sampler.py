@@ -119,6 +119,15 @@ def test_every_waypoint_is_read_along_the_nodes_of_sequences(problem, proposed):
     assert len(proposal.distribution.means) == len(listed) + len(proposal.goals)
 
 
+def test_the_report_counts_codes_without_wrong_plurals(proposed):
+    """It said "5 codes of 1 sequences to 1 goals"."""
+    wide = proposed("cvq-wide")
+    counted = f"codes: {len(wide.codes)}, sequences: {len(wide.polylines)}, goals: "
+    assert wide.detail.startswith(f"{counted}{len(wide.goals)}")
+    every = proposed("cvq:transformer+every-waypoint")
+    assert every.detail.endswith(f", codes of every waypoint: {len(every.codes)}")
+
+
 def test_gaussians_along_sequences_hold_start_and_goals(problem, proposed):
     proposal = proposed("cvq-tuned")
     mixture = proposal.distribution
