@@ -220,6 +220,20 @@ def test_an_object_that_is_no_request_is_refused(tmp_path, problem):
         read_request(tmp_path / "r.json", problem.robot)
 
 
+def test_constraints_that_ask_nothing_are_refused(tmp_path, problem):
+    """Any motion met them, and was certified."""
+    none = {"joint_constraints": [], "position_constraints": [], "orientation_constraints": []}
+    for told, what in (
+        ({"name": "upright", **none}, "the request has no constraint"),
+        ({"goal_constraints": [none]}, r"goal_constraints\[0\] has no constraint"),
+    ):
+        (tmp_path / "r.json").write_text(json.dumps(told))
+        called(f"{what}.*any motion", read_request, tmp_path / "r.json", problem.robot)
+    # a request without path constraints is usual
+    (tmp_path / "r.json").write_text(json.dumps({"path_constraints": none}))
+    read_request(tmp_path / "r.json", problem.robot)
+
+
 def test_the_frame_of_a_speed_limit_has_two_names(tmp_path, request_of, problem):
     for name in ("cartesian_speed_limited_link", "cartesian_speed_end_effector_link"):
         request = request_of(max_cartesian_speed=0.5, **{name: "panda_link4"})

@@ -224,7 +224,7 @@ def _request(message: Any, robot: Robot) -> MotionRequest:
     if not fields:
         raise InvalidInputError("the request is empty: any motion would meet it")
     if "goal_constraints" not in fields and "path_constraints" not in fields:
-        return MotionRequest(path=_conditions(fields, robot, ""))
+        return MotionRequest(path=_asking(fields, robot, ""))
     unused = (
         "workspace_parameters pipeline_id planner_id num_planning_attempts allowed_planning_time"
     )
@@ -248,7 +248,7 @@ def _request(message: Any, robot: Robot) -> MotionRequest:
     return MotionRequest(
         start,
         _conditions(fields.get("path_constraints") or {}, robot, "path_constraints"),
-        tuple(_conditions(goal, robot, f"goal_constraints[{k}]") for k, goal in enumerate(goals)),
+        tuple(_asking(goal, robot, f"goal_constraints[{k}]") for k, goal in enumerate(goals)),
         _factor(fields, "max_velocity_scaling_factor"),
         _factor(fields, "max_acceleration_scaling_factor"),
         {str(frame): FrameLimit(speed)} if speed > 0.0 else {},
@@ -411,6 +411,17 @@ def _conditions(message: Any, robot: Robot, where: str) -> Conditions:
             )
             next(found for kind, found in kinds if isinstance(made, kind)).append(made)
     return Conditions(tuple(regions), tuple(joints), tuple(eulers))
+
+
+def _asking(message: Any, robot: Robot, where: str) -> Conditions:
+    """Return the conditions of a `Constraints` message; refuse one whose lists are all empty."""
+    conditions = _conditions(message, robot, where)
+    if conditions == Conditions():
+        raise InvalidInputError(
+            f"{where or 'the request'} has no constraint, so that any motion would meet it; give "
+            "joint_constraints, position_constraints or orientation_constraints"
+        )
+    return conditions
 
 
 def _joint(fields: Mapping[str, Any], robot: Robot) -> JointBounds:
