@@ -121,7 +121,8 @@ def _by_request(args: argparse.Namespace, motion: Motion) -> tuple[PlanningProbl
     else:
         from cvqmpt_lab.scene.moveit_scenes import read_moveit_scene
 
-        scene, frame = read_moveit_scene(args.scene)
+        held = {joint.name: joint.value for joint in robot.held_joints}
+        scene, frame = read_moveit_scene(args.scene, {**held, **request.fingers})
         with located(f"scene {args.scene}"):
             T = standing_frame(frame, robot)
         moved = (replace(each, T_world_object=T @ each.T_world_object) for each in scene.objects)

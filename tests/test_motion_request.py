@@ -345,6 +345,26 @@ def test_obstacles_are_where_the_frame_of_their_poses_is(tmp_path, certified, pr
         assert found[0] == code and said in found[1], (frame, found)
 
 
+@pytest.mark.parametrize("elsewhere", [0.0, 5e-4, 0.01])
+def test_held_joints_are_where_the_scene_says(tmp_path, certified, request_of, problem, elsewhere):
+    """The motion was judged with the hand open, in a scene whose robot had it closed."""
+    held = {joint.name: joint.value for joint in problem.robot.held_joints}
+    value = held["panda_finger_joint1"] - elsewhere
+    joints = {"name": ["panda_joint1", "panda_finger_joint1"], "position": [1.0, value]}
+    scene = {"world": {"collision_objects": []}, "robot_state": {"joint_state": joints}}
+    (tmp_path / "s.yaml").write_text(json.dumps(scene))
+    code, told = certified(request_of(), "--scene", tmp_path / "s.yaml")
+    if elsewhere < 1e-3:
+        assert code == 0, told
+        return
+    assert code == 2 and "s.yaml" in told and "robot_state has panda_finger_joint1 at" in told
+    lock = f"panda_finger_joint1={value:.9g}"
+    assert f": give --lock {lock}" in told
+    options = ("--robot", "panda", "--lock", lock)
+    code, told = certified(request_of(), "--scene", tmp_path / "s.yaml", *options)
+    assert code == 0, told
+
+
 def test_the_stricter_of_two_limits_of_the_hand_counts():
     limited = robot_from_source(
         {"name": "panda", "frame_limits": {"panda_hand": {"speed": 0.1, "turning_speed": 0.2}}}

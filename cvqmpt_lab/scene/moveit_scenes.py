@@ -25,7 +25,7 @@ from cvqmpt_lab.base.errors import (
 )
 from cvqmpt_lab.base.files import yaml_value
 from cvqmpt_lab.base.poses import Placement, ros_vector
-from cvqmpt_lab.base.values import FloatArray, numbers
+from cvqmpt_lab.base.values import FloatArray, numbers, scalar
 from cvqmpt_lab.robot.source import mesh_path
 from cvqmpt_lab.scene.cloud_files import read_by_suffix
 from cvqmpt_lab.scene.mesh_files import MAX_TRIANGLES, convex_pieces, read_mesh
@@ -46,13 +46,14 @@ OBJECT_FIELDS = (
 """Fields of a CollisionObject. Others, such as a scale, are refused: they would be left out."""
 
 
-def read_moveit_scene(path: Path | str) -> tuple[Scene, str]:
+def read_moveit_scene(path: Path | str, held: Mapping[str, float] = {}) -> tuple[Scene, str]:
     """Return the scene of a file, and the frame of its poses ("": the file has none).
 
     An object of several convex pieces becomes "ID/0", "ID/1", ... InvalidInputError names the file
-    and the object.
+    and the object, or a joint that a RobotState has elsewhere than at the values `held` by the
+    robot [rad or m].
     """
-    read_yaml = partial(_scene, yaml_value, whole_message=True)
+    read_yaml = partial(_scene, yaml_value, held=held)
     readers = {".scene": partial(_scene, _from_text), ".yaml": read_yaml, ".yml": read_yaml}
     return read_by_suffix(readers, path, "MoveIt scene", Path(path), most=2**24)
 
@@ -67,7 +68,7 @@ def scene_of_yaml(text: str, path: Path) -> Scene:
 
 
 def _scene(
-    parse: Callable, data: bytes, path: Path, whole_message: bool = False
+    parse: Callable, data: bytes, path: Path, held: Mapping[str, float] | None = None
 ) -> tuple[Scene, str]:
     """Return the scene and frame of a PlanningScene, its world or a list of CollisionObjects.
 
@@ -75,7 +76,8 @@ def _scene(
         parse: function from a text to the message.
         data: content of the file.
         path: path of the file.
-        whole_message: refuse settings of the robot's links, too.
+        held: values of joints that a RobotState must have [rad or m]; None: it and settings of the
+            robot's links are not looked at.
     """
     message = parse(data.decode("utf-8"))
     if isinstance(message, list):
@@ -104,7 +106,8 @@ def _scene(
         raise InvalidInputError(
             f"objects are in frames {', '.join(sorted(set(frames)))}; write all in one frame"
         )
-    if whole_message:
+    if held is not None:
+        _refuse_other_values(whole.get("robot_state"), held)
         _refuse_link_settings(whole, [str(item.get("id")) for item in world["collision_objects"]])
     name = str(whole.get("name") or path.stem)
     return Scene(name, tuple(objects)), frames[0] if frames else ""
@@ -245,6 +248,20 @@ def refuse_attached(state: Any) -> None:
             f"the robot carries {', '.join(names)}; remove it and write it as 'attachments' of "
             "the problem"
         )
+
+
+def _refuse_other_values(state: Any, held: Mapping[str, float], most: float = 1e-3) -> None:
+    """Refuse joints that a RobotState has more than `most` [rad or m] from where they are held."""
+    joints = field_of(state, "joint_state")
+    names, values = (listed(field_of(joints, key), key) for key in ("name", "position"))
+    if len(names) != len(values):
+        raise InvalidInputError(f"robot_state has {len(names)} names, {len(values)} positions")
+    for name, value in zip(map(str, names), values, strict=True):
+        if name in held and abs(scalar(float, value, name) - held[name]) > most:
+            raise InvalidInputError(
+                f"robot_state has {name} at {value:.9g}, the robot holds it at {held[name]:.9g}: "
+                f"give --lock {name}={value:.9g}"
+            )
 
 
 def _refuse_link_settings(whole: Mapping[str, Any], objects: Sequence[str]) -> None:
