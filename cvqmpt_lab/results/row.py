@@ -411,7 +411,14 @@ def read_rows(path: Path) -> list[ResultRow]:
         InvalidInputError: the file cannot be read.
         RunStoreError: wrong content; the message names file, line and column.
     """
-    return parse_rows(Path(path), read_text(path))
+    text = read_text(path)
+    rows = parse_rows(Path(path), text)
+    if not text.endswith(("\n", "\r")):  # a cut number is still a number, but another one
+        raise RunStoreError(
+            f"{path}, line {len(text.splitlines())}: the file ends within this line, so it may be "
+            "cut; copy it again, or end a complete line with a line break"
+        )
+    return rows
 
 
 def write_rows(path: Path, rows: Iterable[ResultRow]) -> None:

@@ -249,6 +249,17 @@ BAD = {"seed": None, "solved": 1, "certified": False, "schema": "0"}
 TEXTS = {"two\n lines\x1b": "two lines", "=1+1": "'=1+1", "-3 off": "'-3 off", " \t": None}
 
 
+def test_a_file_that_was_cut_within_its_last_number_is_refused(tmp_path):
+    path = tmp_path / RUNS_FILE
+    write_rows(path, [a_row(measures={"drift_mm": 14.557})])
+    whole = path.read_bytes()
+    for cut in (whole[:-1], whole[:-3]):
+        path.write_bytes(cut)
+        refused("line 2: the file ends within this line", read_rows, path, error=RunStoreError)
+    path.write_bytes(whole.replace(b"\n", b"\r\n"))
+    assert read_rows(path)[0].measures == {"drift_mm": 14.557}
+
+
 def test_no_text_becomes_a_formula_of_a_spreadsheet():
     for text, cell in (*TEXTS.items(), ("ok", "ok")):
         assert cell_text(text) == a_row(detail=cell_text(text)).detail == cell
