@@ -24,11 +24,16 @@ PLANNERS = """
 import os, time
 import numpy as np
 from cvqmpt_lab.search.planner_interface import Proposal, Uniform
+from cvqmpt_lab.search.result import PlanStatus
 
 def good(problem, budget, seed):
     from cvqmpt_lab import solve
     path = solve(problem, "birrt", budget, seed).simplified
     return None if path is None else path.path.states
+
+def boasting(problem, budget, seed):
+    drawn = Uniform(problem.robot.lower, problem.robot.upper, "theirs")
+    return Proposal(drawn, failure=PlanStatus.SOLVED)
 
 # three corners far apart: the motion collides
 sparse = lambda problem, *_: [problem.start, problem.robot.upper, problem.goals[0]]
@@ -146,6 +151,7 @@ def test_our_search_continues_with_a_proposal():
         ("nan", PlanStatus.MALFORMED_PATH, "row 0 of 4 of the states that it"),
         ("flat", PlanStatus.MALFORMED_PATH, r"states of shape \(7,\): give \(m, 7\)"),
         ("text", PlanStatus.MALFORMED_PATH, "it returned 'a path'"),
+        ("boasting", PlanStatus.MALFORMED_PATH, "failure SOLVED, which is no failure"),
         ("nothing", PlanStatus.NO_PATH, ""),
         ("Counting", PlanStatus.PLANNER_ERROR, "call 1, seed 0"),
     ],

@@ -107,6 +107,12 @@ def proposal_of(
         path = JointPath(path_states(arrays["path"], robot)) if "path" in arrays else None
         if "name" not in words:
             return replace(path_alone, path=path)
+        failure = words["failure"] and PlanStatus(words["failure"])
+        if failure is PlanStatus.SOLVED:
+            raise InvalidInputError(
+                "it returned a Proposal with failure SOLVED, which is no failure: give its path, "
+                "or another PlanStatus"
+            )
         name = one_line(str(words["name"]))
         uniform = None
         if "lower" in arrays:
@@ -123,7 +129,7 @@ def proposal_of(
             detail=str(words["detail"]),
             fallback=one_line(str(words["fallback"])),
             path=path,
-            failure=words["failure"] and PlanStatus(words["failure"]),
+            failure=failure,
         )
     except (KeyError, TypeError, ValueError) as error:
         raise NoReply(f"its reply cannot be read: {one_line(str(error))}") from error
