@@ -89,6 +89,13 @@ class RunStore:
             store = cls(directory, None if is_new else session)
             began = time.monotonic()
             store._recover()
+            suite = configuration.get("suite")
+            foreign = sorted({row.suite for row in store.rows()} - {suite})
+            if suite and foreign:  # refused now, not by the tables after hours of work
+                raise RunStoreError(
+                    f"{directory / RUNS_FILE} has rows of {', '.join(foreign)}, but "
+                    f"{PROVENANCE_FILE} is of suite {suite}; use another --out"
+                )
             try:
                 yield store
             finally:

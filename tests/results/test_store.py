@@ -165,6 +165,11 @@ def test_runs_without_provenance_or_with_foreign_columns_are_refused(tmp_path):
     open_refused("line 1, column 1: expected schema, found problem", tmp_path)
 
 
+def test_rows_of_another_suite_stop_a_run_before_it_begins(store):
+    write_rows(store / RUNS_FILE, [a_row("p1", suite="maze"), a_row("p2")])
+    open_refused("runs.csv has rows of maze, but provenance.json is of suite place", store)
+
+
 def test_directories_that_cannot_be_used_are_refused(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("")
     for path in (tmp_path / "file", tmp_path / "file" / "below"):
