@@ -123,6 +123,11 @@ def planners_of_one(a: Rows, b: Rows) -> tuple[list[str], list[str]]:
 
 def _require_same_suite(a: Rows, b: Rows) -> None:
     suites = [sorted({row.suite for row in rows}) for rows in (a, b)]
+    for side, own in zip("AB", suites, strict=True):
+        if len(own) > 1:  # their problems may have equal names
+            raise InvalidInputError(
+                f"{side} has rows of {len(own)} suites, {', '.join(own)}; compare folders of one"
+            )
     if suites[0] != suites[1]:
         raise InvalidInputError(
             f"runs of {', '.join(suites[0])} do not pair with runs of {', '.join(suites[1])}; "

@@ -116,8 +116,11 @@ def test_runs_that_do_not_pair_are_refused_by_name():
         ([a_row("p99")], "no run in common: A has problem p0 seed 0, problem p0 seed 1"),
         (twenty(1.0, planner="mpnet"), "no planner in common: A has birrt, B has mpnet"),
         ([a_row(suite="sensor")], "runs of place do not pair with runs of sensor"),
+        ([a_row("p0"), a_row("p0", suite="maze")], "B has rows of 2 suites, maze, place"),
     ):
         refused(says, compared, twenty(1.0), other)
+    both = [a_row("p0"), a_row("p0", suite="maze")]
+    refused("A has rows of 2 suites, maze, place; compare", compared, both, both)
 
 
 def two_folders(tmp_path, a, b):
