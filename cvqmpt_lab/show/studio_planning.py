@@ -245,9 +245,9 @@ class Studio:
         last = self.response
         if last.request.number >= 0 and request.plans_like(last.request):
             return replace(last, request=request)
-        method = planner_named(request.planner)
         began = time.perf_counter()
         try:
+            method = planner_named(request.planner)
             if request.planner != last.planner:
                 warm_up(self.problem, method, "compiled")
                 began = time.perf_counter()

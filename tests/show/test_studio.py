@@ -134,6 +134,14 @@ def test_wrong_poses_and_names_are_refused_and_submit_no_request(fresh):
     assert fresh.request.number == number
 
 
+def test_a_request_of_an_unknown_planner_does_not_end_the_planning(fresh):
+    number = fresh.submit(planner="nope")
+    response = fresh.wait(number, timeout=20.0)
+    assert response.request.number >= number and response.verdict == "no path"
+    assert "unknown planner 'nope'; valid choices:" in response.message
+    assert fresh.wait(fresh.set_planner("roadmap")).verdict == "certified"
+
+
 def test_constraint_and_planner_are_chosen(fresh):
     assert "birrt" in fresh.planners and "atlas-rrt" in fresh.planners
     response = fresh.wait(fresh.set_constraint("none"))
