@@ -32,7 +32,7 @@ def ompl_log(directory: Path) -> str:
         f"cvqmpt_lab version {record.get('versions', {}).get('cvqmpt-lab') or '0'}",
         f"Experiment {rows[0].suite}",
         "0 experiment properties",
-        f"Running on {(record.get('platform') or 'unknown').split()[0]}",
+        f"Running on {((record.get('platform') or '').split() or ['unknown'])[0]}",
         f"Starting at {record.get('date_utc') or 'unknown'}",
         *("<<<|", *(f"{name} = {value}" for name, value in settings.items()), "|>>>"),
         *("<<<|", record.get("cpu_model") or "unknown", "|>>>"),

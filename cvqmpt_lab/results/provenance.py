@@ -146,7 +146,10 @@ class ProvenanceFile:
             )
         record = read_json_object(self.path)
         of_session: dict[str, Any] = {
-            **dict.fromkeys(("git_commit", "cpu_model", "date_utc", "profile"), str | None),
+            **dict.fromkeys(
+                ("git_commit", "cpu_model", "date_utc", "platform", "profile"), str | None
+            ),
+            "versions": Mapping[str, Any],
             "command": tuple[str, ...] | None,
             "git_dirty": bool | None,
             "cpu_count": int | None,

@@ -334,6 +334,9 @@ def test_the_log_for_ompl_is_read_by_its_own_script(cvqmpt, capsys, tmp_path):
         ("mpnet", "p2", 0, 0, "uncertified_collision", *[None] * 5),
         ("mpnet", "place_0", 0, 4, "timeout", 10.0, *[None] * 4),
     ]
+    store(tmp_path / "unknown", rows, platform=" ")
+    cvqmpt("report", tmp_path / "unknown", "--ompl-log", log)
+    assert "Running on unknown\n" in log.read_text()
     store(tmp_path / "untimed", [a_row()])
     told = command_refused(capsys, "report", tmp_path / "untimed", "--ompl-log", log)
     assert "1 solved runs have no time, first problem place_0 of birrt" in told

@@ -198,6 +198,8 @@ def test_a_malformed_record_is_refused_by_field(tmp_path):
         ({"continued": 3}, "continued is 3"),
         ({"continued": [None]}, r"continued\[0\] is None"),
         ({"git_commit": 7}, "git_commit is 7"),
+        ({"platform": 7}, "platform is 7"),
+        ({"versions": [1]}, "versions is .1."),
         ({"weights": {"mpnet": None}}, "weights.mpnet is None"),
         ({"configuration": {"cutoff_s": "10"}}, "cutoff_s is '10'"),
     ):
