@@ -26,6 +26,7 @@ from cvqmpt_lab.cli.options import (
     option,
     own_command,
     positive_int,
+    refuse_changed,
     refuse_given,
     writable_file,
 )
@@ -235,6 +236,11 @@ OPTIONS: Options = {
 
 def figure(args: argparse.Namespace) -> None:
     """Make the figure and print a summary."""
+    unused = {"concept": ["--problems"], "histogram": ["--problem"]}.get(
+        args.figure, ["--problem", "--problems", "--model", "--seed"]
+    )
+    options = {name: FIGURE[name] for name in unused}
+    refuse_changed(args, options, f"does not go with {args.figure}; leave it out")
     if args.figure not in FIGURES:
         _profile(args)
         return

@@ -360,6 +360,12 @@ def test_profiles_are_files_of_the_format_named_with_own_planners_thick(
         (("length", folder, "--out", tmp_path / "f.bmp"), "pdf, svg, png"),
         (("work",), "needs a results directory"),
         (("histogram", folder), "takes no FOLDER"),
+        (("work", folder, "--problem", 5), "--problem 5 does not go with work; leave it out"),
+        (("work", folder, "--problems", 5), "--problems 5 does not go with work"),
+        (("work", folder, "--model", "mine"), "--model mine does not go with work"),
+        (("work", folder, "--seed", 3), "--seed 3 does not go with work"),
+        (("concept", "--problems", 5), "--problems 5 does not go with concept"),
+        (("histogram", "--problem", 5), "--problem 5 does not go with histogram"),
     ):
         assert says in command_refused(capsys, "figure", *words)
 
