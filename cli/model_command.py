@@ -8,6 +8,8 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from cvqmpt_lab.base.codec import from_plain, to_plain
 from cvqmpt_lab.base.errors import InvalidInputError, require_installed
 from cvqmpt_lab.base.files import read_json_object
@@ -27,6 +29,7 @@ from cvqmpt_lab.cli.options import (
 )
 from cvqmpt_lab.results.provenance import provenance
 from cvqmpt_lab.vqmpt.weights import (
+    MPNET,
     SHIPPED,
     TRANSFORMER,
     read_description,
@@ -63,11 +66,22 @@ def model(args: argparse.Namespace) -> None:
 def _info(folder: Path) -> dict[str, Any]:
     """Read and check a folder of weights; return its description as plain json."""
     stored, description = read_model(folder), read_description(folder)
+    for part, arrays in stored.parts.items():
+        for name, array in arrays.items():
+            if not np.isfinite(array).all():
+                raise InvalidInputError(
+                    f"{folder / part}.safetensors: {name} has NaN or infinite values; train or "
+                    "fetch the weights again"
+                )
     if TRANSFORMER in stored.parts:
         # imported here because it loads compiled functions
         from cvqmpt_lab.vqmpt.codebook import require_own_dictionary
 
         require_own_dictionary(stored)
+    if stored.architecture == MPNET:
+        from cvqmpt_lab.vqmpt.mpnet_rollouts import MPNetNetwork
+
+        MPNetNetwork(stored)  # refuses arrays that do not fit the configuration
     parts = {
         f"{name}.safetensors": {
             "bytes": (folder / f"{name}.safetensors").stat().st_size,

@@ -1,10 +1,12 @@
 """`cvqmpt model`: report on weights, conversion of published folders, and the weights that ship."""
 
+import hashlib
 import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
+import safetensors.numpy
 import torch
 from command_line import refused
 from published_files import STAGE1
@@ -17,6 +19,7 @@ from cvqmpt_lab.vqmpt.weights import (
     WEIGHTS_FOLDER,
     OtherRobotError,
     load_vq_mpt,
+    read_model,
     resolve_model,
     robot_signature,
     write_model,
@@ -67,6 +70,25 @@ def test_models_are_found_by_name_or_folder_for_one_robot(panda, slider_arm, tmp
         load_vq_mpt(slider_arm, tmp_path / "run")
     with pytest.raises(InvalidInputError, match="no weights in gnn; give one of vq_mpt, or the"):
         load_vq_mpt(panda, "gnn")
+
+
+def test_weights_that_no_planner_can_use_are_refused(tmp_path, capsys):
+    model = read_model(WEIGHTS_FOLDER / "mpnet")
+    arrays = dict(model.parts["mpnet"])
+    bias = arrays.pop("out.bias")
+    write_model(tmp_path / "short", replace(model, parts={"mpnet": arrays}))
+    told = refused(capsys, "model", "info", "--model", tmp_path / "short")
+    assert "mpnet does not fit its configuration: out.bias is missing" in told
+
+    write_model(tmp_path / "nan", model)
+    data = safetensors.numpy.save(arrays | {"out.bias": np.full_like(bias, np.nan)})
+    (tmp_path / "nan" / "mpnet.safetensors").write_bytes(data)
+    config = tmp_path / "nan" / "config.json"
+    fields = json.loads(config.read_text())
+    fields["sha256"]["mpnet"] = hashlib.sha256(data).hexdigest()
+    config.write_text(json.dumps(fields))
+    told = refused(capsys, "model", "info", "--model", tmp_path / "nan")
+    assert "mpnet.safetensors: out.bias has NaN or infinite values" in told
 
 
 def test_a_transformer_beside_another_dictionary_is_refused(panda, tmp_path, capsys):
