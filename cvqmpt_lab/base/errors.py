@@ -33,8 +33,14 @@ def few(names: Iterable[str], most: int = 8, counted: str = "{} in all") -> str:
     return f"{', '.join(every[:most])}, ... ({counted.format(len(every))})"
 
 
-def nearest(value: object, choices: Iterable[object], alike: float = 0.6) -> str:
-    """Return "; did you mean 'x'?" with the most similar choice, or "" if none is similar.
+def nearest(value: object, choices: Iterable[object]) -> str:
+    """Return "; did you mean 'x'?" with the most similar choice, or "" if none is similar."""
+    found = similar(value, choices)
+    return f"; did you mean {found!r}?" if found else ""
+
+
+def similar(value: object, choices: Iterable[object], alike: float = 0.6) -> str:
+    """Return the most similar choice, whatever its case, or "" if none is similar.
 
     alike: similarity, from 0 to 1, from which a choice counts as similar.
     """
@@ -42,7 +48,7 @@ def nearest(value: object, choices: Iterable[object], alike: float = 0.6) -> str
 
     plain = {str(choice).lower(): str(choice) for choice in choices}
     found = difflib.get_close_matches(str(value)[:MAX_VALUE_CHARACTERS].lower(), plain, 1, alike)
-    return f"; did you mean {plain[found[0]]!r}?" if found else ""
+    return plain[found[0]] if found else ""
 
 
 def one_line(text: str) -> str:

@@ -37,18 +37,6 @@ coal.distance(
     _BOX, coal.Transform3s(), _BOX, _BESIDE, coal.DistanceRequest(), coal.DistanceResult()
 )
 
-# elements of an SRDF about pairs of links, with the attributes that name these
-PAIR_ATTRIBUTES: Mapping[str, tuple[str, ...]] = {
-    "disable_collisions": ("link1", "link2"),
-    "enable_collisions": ("link1", "link2"),
-    "disable_default_collisions": ("link",),
-}
-# other elements, of MoveIt and of pinocchio's robots
-OTHER_SRDF_TAGS = {
-    *("group", "group_state", "end_effector", "virtual_joint", "passive_joint", "joint_property"),
-    *("link_sphere_approximation", "gripper", "specificities", "rotor_params"),
-}
-
 
 def coal_distance(*bodies: Any) -> float:
     """Return the distance [m] of two coal objects, or of shape, pose, shape, pose; < 0: overlap."""
@@ -295,11 +283,22 @@ def default_off(srdf: ElementTree.Element) -> tuple[set[str], set[frozenset[str]
 
 def srdf_oddities(srdf: ElementTree.Element) -> dict[str, list[str]]:
     """Return elements of an SRDF that leave no pair out though they may be meant to, by reason."""
-    unknown = {item.tag for item in srdf} - PAIR_ATTRIBUTES.keys() - OTHER_SRDF_TAGS
+    # elements about pairs of links, with the attributes that name these
+    of_pairs = {
+        "disable_collisions": ("link1", "link2"),
+        "enable_collisions": ("link1", "link2"),
+        "disable_default_collisions": ("link",),
+    }
+    # other elements, of MoveIt and of pinocchio's robots
+    others = (
+        *("group", "group_state", "end_effector", "virtual_joint", "passive_joint", "gripper"),
+        *("joint_property", "link_sphere_approximation", "specificities", "rotor_params"),
+    )
+    unknown = {item.tag for item in srdf}.difference(of_pairs, others)
     lacking = [
         f"<{item.tag}> without {name}"
         for item in srdf
-        for name in PAIR_ATTRIBUTES.get(item.tag, ())
+        for name in of_pairs.get(item.tag, ())
         if name not in item.attrib
     ]
     return {

@@ -7,7 +7,14 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from cvqmpt_lab.base.errors import InvalidInputError, at, located, mapping, require_choice
+from cvqmpt_lab.base.errors import (
+    InvalidInputError,
+    at,
+    known_fields,
+    located,
+    mapping,
+    require_choice,
+)
 from cvqmpt_lab.base.files import read_text, yaml_value
 from cvqmpt_lab.base.values import scalar
 
@@ -84,8 +91,7 @@ def _of_joint(fields: Mapping[str, Any], where: str) -> dict[str, float]:
     kinds |= {"min_position": "lower", "max_position": "upper"}
     flags = [f"has_{key.partition('_')[2]}_limits" for key in kinds]
     found = {}
-    for key in fields:
-        require_choice(f"key of {where}", key, (*kinds, *flags, "angle_wraparound"))
+    known_fields(fields, where, (*kinds, *flags, "angle_wraparound"))
     for (key, kind), flag in zip(kinds.items(), flags, strict=True):
         if scalar(bool, fields.get(flag, False), at(where, flag)):
             if key not in fields:

@@ -17,9 +17,9 @@ from pathlib import Path
 from cvqmpt_lab.base.errors import (
     InvalidInputError,
     located,
-    nearest,
     require_choice,
     shown,
+    similar,
     unique,
 )
 from cvqmpt_lab.base.files import read_xml, xml_root
@@ -180,7 +180,7 @@ def _joint(element: ElementTree.Element, path: Path, most_turn: float = 1e5) -> 
         limits = ("lower", "upper", "velocity", "effort")
         for attribute in limit.attrib:
             # files have private attributes, too; a misspelled limit would count as 0
-            if attribute not in limits and nearest(attribute, limits, alike=0.8):
+            if attribute not in limits and similar(attribute, limits, 0.8):
                 require_choice("attribute of its <limit>", attribute, limits)
         for attribute in ("velocity", "effort"):
             value = number(limit, attribute, 0.0)

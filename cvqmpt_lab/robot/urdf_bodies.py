@@ -17,6 +17,7 @@ from cvqmpt_lab.base.errors import (
     located,
     require_choice,
     shown,
+    similar,
 )
 
 
@@ -124,15 +125,11 @@ def _unknown_parts(
         alike: similarity, from 0 to 1, from which a tag counts as misspelled.
     """
     parts = [part.tag for part in item if part.tag not in known]
-    if parts:
-        import difflib  # few robots need it
-
     for tag in parts:
-        meant = difflib.get_close_matches(tag.lower(), known[:offered], 1, alike)
-        if meant:
+        if meant := similar(tag, known[:offered], alike):
             raise InvalidInputError(
                 f"{item.tag} {shown(item.get('name'))} has an unknown part <{tag}>; did you mean "
-                f"<{meant[0]}>?"
+                f"<{meant}>?"
             )
     return [f"<{tag}> of {item.get('name')}" for tag in parts]
 

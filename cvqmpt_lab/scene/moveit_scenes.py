@@ -39,11 +39,6 @@ MOVEIT_SOLIDS: Mapping[str, tuple[int, Callable[..., Shape]]] = {
 }
 """Number of sizes of a solid, (x, y, z) or (radius, height) [m], and function from them to it."""
 MOVEIT_SHAPES = (*MOVEIT_SOLIDS, "mesh")
-OBJECT_FIELDS = (
-    *("id", "pose", "primitives", "primitive_poses", "meshes", "mesh_poses"),
-    *("planes", "plane_poses", "header", "type", "operation", "subframe_names", "subframe_poses"),
-)
-"""Fields of a CollisionObject. Others, such as a scale, are refused: they would be left out."""
 
 
 def read_moveit_scene(path: Path | str, held: Mapping[str, float] = {}) -> tuple[Scene, str]:
@@ -87,6 +82,11 @@ def _scene(
     if "collision_objects" not in world:
         raise InvalidInputError("it has no 'collision_objects', neither in 'world' nor at the top")
     _refuse_other_content(whole, world)
+    # others, such as a scale, are refused: they would be left out
+    known = (
+        *("id", "pose", "primitives", "primitive_poses", "meshes", "mesh_poses", "planes"),
+        *("plane_poses", "header", "type", "operation", "subframe_names", "subframe_poses"),
+    )
     objects, frames = list[SceneObject](), list[str]()
     for k, item in enumerate(listed(world["collision_objects"], "collision_objects")):
         fields = mapping(
@@ -94,7 +94,7 @@ def _scene(
         )
         of = str(fields.get("id", "")).strip()
         with located(f"object {shown(of)}"):
-            known_fields(fields, "an object", OBJECT_FIELDS)
+            known_fields(fields, "an object", known)
             pieces = list(_pieces_of(fields, path))
             if not pieces:
                 raise InvalidInputError("it has no shape; give 'primitives' or 'meshes'")

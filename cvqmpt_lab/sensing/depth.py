@@ -164,17 +164,6 @@ def read_intrinsics(path: Path | str) -> Intrinsics:
         return _intrinsics(data)
 
 
-# fields beside the matrix of a camera's constants; others, such as a distortion of another name,
-# are refused: they would be left out
-MATRIX_FIELDS = (
-    *("width", "height", "image_width", "image_height", "camera_matrix", "K", "k"),
-    *("intrinsic_matrix", "distortion_coefficients", "D", "d", "roi", "binning_x", "binning_y"),
-    *("projection_matrix", "P", "p", "rectification_matrix", "R", "r", "depth_scale"),
-    *("header", "camera_name", "distortion_model", "device_name", "serial_number", "fps"),
-    *("color_format", "depth_format", "color_mode", "depth_mode", "stream_length_usec"),
-)
-
-
 def _intrinsics(data: Any) -> Intrinsics:
     forms = (
         "width, height, fx, fy, cx, cy, or width, height and camera_matrix (ROS), K or "
@@ -186,7 +175,16 @@ def _intrinsics(data: Any) -> Intrinsics:
     )
     if name is None:
         return from_plain(Intrinsics, fields)
-    known_fields(fields, f"intrinsics with {name}", MATRIX_FIELDS)
+    # beside the matrix; others, such as a distortion of another name, are refused: they would be
+    # left out
+    known = (
+        *("width", "height", "image_width", "image_height", "camera_matrix", "K", "k"),
+        *("intrinsic_matrix", "distortion_coefficients", "D", "d", "roi", "binning_x", "binning_y"),
+        *("projection_matrix", "P", "p", "rectification_matrix", "R", "r", "depth_scale"),
+        *("header", "camera_name", "distortion_model", "device_name", "serial_number", "fps"),
+        *("color_format", "depth_format", "color_mode", "depth_mode", "stream_length_usec"),
+    )
+    known_fields(fields, f"intrinsics with {name}", known)
     # units per metre (Open3D) or metres per unit: both mean millimetres, as a 16-bit image does
     if (depth_scale := fields.get("depth_scale", 1000)) not in (1000, 0.001):
         raise InvalidInputError(

@@ -75,7 +75,6 @@ LABEL_ARRAYS = SCENE_ARRAYS | {
     "link_code": Column("end", "uint16"),
     "link_free": Column("end", "bool"),
 }
-CONFIGURATIONS = {"waypoints", "ends", "link_end"}  # arrays whose last axis are the joints
 
 
 def shard_files(folder: Path) -> list[Path]:
@@ -106,9 +105,10 @@ def read_shards(
                 f"{folder / SHARDS_FOLDER} lacks shard {number:06d} but has {path.name}: generate "
                 "again with the same options, which adds the missing shards"
             )
+    of_joints = {"waypoints", "ends", "link_end"}  # arrays whose last axis are the joints
     shards = [_arrays(path, columns) for path in files]
     for path, shard in zip(files, shards, strict=True):
-        for name in sorted(CONFIGURATIONS & shard.keys()):
+        for name in sorted(of_joints & shard.keys()):
             shape = shard[name].shape
             if shape[-1:] != (joints,):
                 raise InvalidInputError(
