@@ -15,6 +15,7 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import Any, NoReturn
 
+from cvqmpt_lab.base.arithmetic import without_library_tuning
 from cvqmpt_lab.base.errors import CvqmptError, InvalidInputError, UnknownChoiceError, nearest
 
 COMMANDS = {  # by name: NAME of the module cvqmpt_lab.cli.NAME_command, and a summary
@@ -239,6 +240,7 @@ def entry_point() -> None:
 
     An internal error ends with exit code 2, not with Python's 1, which is a verdict.
     """
+    without_library_tuning()
     # garbage collection during imports would take a tenth of a short command's time, most at exit
     gc.disable()
     if sys.stderr is None:  # closed

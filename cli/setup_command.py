@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 from packaging.requirements import Requirement
 
+from cvqmpt_lab.base import arithmetic
 from cvqmpt_lab.base.errors import CvqmptError, install_command
 from cvqmpt_lab.base.files import write_text
 from cvqmpt_lab.cli.main import THREADS
@@ -26,6 +27,7 @@ from cvqmpt_lab.cli.options import (
     refuse_given,
     writable_file,
 )
+from cvqmpt_lab.results.provenance import cpu_facts
 
 BENCHES = ("stages", "sizes", "paper-check", "paper-seconds")
 
@@ -45,7 +47,9 @@ def doctor(args: argparse.Namespace) -> int:
     threads = [f"{name}={os.environ.get(name, 'not set')}" for name in THREADS]
     found = [
         Finding("machine", f"Python {platform.python_version()}, {platform.platform()}, {cores}"),
+        Finding("processor", ", ".join(dict.fromkeys(cpu_facts(r"^model name\s*: (.*)$")))),
         Finding("threads", ", ".join(threads)),
+        _arithmetic(),
         *_packages(),
         *_weights(),
         _kernels(),
@@ -57,7 +61,29 @@ def doctor(args: argparse.Namespace) -> int:
             text = f"{says}; {cure}"
         line = f"{state:8} {what:10} {text}"
         print(textwrap.fill(line, 100, subsequent_indent=" " * 20, break_long_words=False))
-    return 1 if any(item.cure and item.needed for item in found) else 0
+    broken = [item.what for item in found if item.cure and item.needed]
+    without = [item.what for item in found if item.cure and not item.needed]
+    ends = f"BROKEN: {', '.join(broken)}" if broken else "OK"
+    print(f"{ends}; without: {', '.join(without)}" if without else ends)
+    return 1 if broken else 0
+
+
+def _arithmetic() -> Finding:
+    """Return what computes here, and variables that say otherwise."""
+    given = arithmetic.GIVEN
+    try:
+        found = arithmetic.facts()
+    except ImportError as error:
+        return Finding("arithmetic", f"unknown: {error}", "see packages", needed=False)
+    says = ", ".join(f"{name} {used}" for name, used in found.items())
+    other = [f"{n}={given[n]}" for n in given if given[n] != arithmetic.PINNED[n]]
+    if other:
+        native = os.environ.get(arithmetic.NATIVE)
+        what = "is taken as the libraries take it" if native else "was replaced"
+        says = f"{says}; {' '.join(other)} {what}"
+    same = found["numba for"] == found["numpy for"] == arithmetic.TARGET
+    cure = "" if same else f"{arithmetic.EFFECT} (docs/guard.md)"
+    return Finding("arithmetic", says, cure, needed=False)
 
 
 def _packages() -> Iterator[Finding]:

@@ -3,6 +3,10 @@
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from cvqmpt_lab.base.arithmetic import pin
+
+pin()  # before numpy or numba is imported
+
 # Editors and type checkers read these imports; at run time `__getattr__` does them when needed.
 if TYPE_CHECKING:
     from cvqmpt_lab.base.poses import Placement, pose

@@ -11,6 +11,7 @@ from cvqmpt_lab.base.errors import InvalidInputError, located, require_choice, w
 from cvqmpt_lab.benchmarks.declarations import SUITES
 from cvqmpt_lab.benchmarks.suite import suite_named
 from cvqmpt_lab.benchmarks.suite_parts import Suite
+from cvqmpt_lab.experiments.executors import Limit
 from cvqmpt_lab.external.names import is_external
 from cvqmpt_lab.planning.planners import PLANNERS, planner_named, require_fit
 from cvqmpt_lab.problem import PlanningProblem
@@ -92,8 +93,8 @@ class Experiment:
             **suite_named(self.suite).settings,
         }
 
-    def limit_s(self, run: "Run") -> float:
-        """Time [s] without an answer after which a run is given up: far more than any run needs.
+    def limit(self, run: "Run") -> Limit:
+        """Return when a run is given up: after far more processor time than any run needs.
 
         An external planner may hang; the first run of a process warms up all of ours.
         """
@@ -105,7 +106,9 @@ class Experiment:
                 by_count = 0.01 * budget.iterations if budget.iterations else math.inf
                 # our operations take less time than those that the prices are of
                 longest += min(budget.seconds or math.inf, by_count, budget.cost or math.inf)
-        return spare + times * longest
+        limit = Limit(spare + times * longest)
+        # an external planner that waits is ended by its budget, and that counts as its failure
+        return limit._replace(idle_s=limit.busy_s) if run.method.external else limit
 
 
 def _limits(budget: Budget) -> dict[str, object]:

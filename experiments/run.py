@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from cvqmpt_lab.base import arithmetic
 from cvqmpt_lab.base.caches import sources_digest
 from cvqmpt_lab.base.errors import CvqmptError, whole_number
 from cvqmpt_lab.benchmarks.item import (
@@ -255,8 +256,8 @@ def executor_for(
     """Return processes on this machine, or the Dask cluster at an address."""
     whole_number("jobs", jobs, 1)
     if dask is not None:
-        return dask_cluster(dask, experiment.limit_s, partial(_installed, experiment))
-    return local_processes(jobs, experiment.limit_s)
+        return dask_cluster(dask, experiment.limit, partial(_installed, experiment))
+    return local_processes(jobs, experiment.limit)
 
 
 def run_experiment(
@@ -319,6 +320,7 @@ def _installed(experiment: Experiment) -> dict[str, object]:
     library = Path(__file__).parents[1]  # cvqmpt_lab holds experiments
     return {
         "sources": sources_digest(library, library / "experiments"),
+        "arithmetic": arithmetic.facts(),
         "weights": weights_of(experiment.planners, experiment.model),
         "problem files": experiment.digests,
         "planners": externals_of(experiment.planners),

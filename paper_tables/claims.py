@@ -34,6 +34,7 @@ from cvqmpt_lab.results.row import (
     ResultRow,
     read_rows,
     split_problem,
+    without_ended,
 )
 from cvqmpt_lab.results.statistics import Interval
 
@@ -414,4 +415,4 @@ def evidence_below(results: Path) -> dict[str, Evidence]:
 def read_evidence(folder: Path) -> Evidence:
     """Return rows and provenance of a results directory."""
     rows = read_rows(folder / RUNS_FILE) if (folder / RUNS_FILE).is_file() else []
-    return Evidence(folder, rows, ProvenanceFile(folder).read())
+    return Evidence(folder, without_ended(rows), ProvenanceFile(folder).read())

@@ -13,7 +13,7 @@ from cvqmpt_lab.paper_tables.table_engine import SuiteTable, rows_of_one_suite
 from cvqmpt_lab.paper_tables.writers import markdown, markdown_text
 from cvqmpt_lab.results.provenance import ProvenanceFile, digests_in, sessions
 from cvqmpt_lab.results.row import RUNS_FILE, ResultRow
-from cvqmpt_lab.results.store import directory_rows
+from cvqmpt_lab.results.store import directory_rows, ended_note
 
 
 def title_of(suite: str) -> str:
@@ -57,15 +57,20 @@ def rendered_tables(directory: Path) -> Rendered:
     made, head = table_of(rows), _head(record, len(rows))
     title, label = title_of(made.suite), directory.resolve().name
     notes = [str(line) for line in made.sections.get("Notes", ())]
+    ended = [line for line in (ended_note(directory),) if line]
     caption = f"{title}, {made.size}. In brackets: 95 % intervals. Bold: the best value."
     texts = {
-        "table.md": f"# {markdown_text(title)}\n\n{markdown_text(head)}\n\n{made.markdown}"
+        "table.md": "\n\n".join(
+            [f"# {markdown_text(title)}", *map(markdown_text, (head, *ended)), made.markdown]
+        )
         + "\n"
         + markdown({f"Sessions that made {RUNS_FILE}": [*map(session_text, sessions(record))]}),
-        "table.tex": "".join(f"% {line}\n" for line in (head, *notes)) + made.latex(caption, label),
+        "table.tex": "".join(f"% {line}\n" for line in (head, *ended, *notes))
+        + made.latex(caption, label),
         "table.csv": made.csv,
     }
-    return Rendered(texts, [f"{title}: {made.size}, {_cutoffs(record)}", *made.brief])
+    brief = [f"{title}: {made.size}, {_cutoffs(record)}", *ended, *made.brief]
+    return Rendered(texts, brief)
 
 
 def render_directory(directory: Path) -> Rendered:

@@ -5,6 +5,9 @@ import sys
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
+import cvqmpt_lab  # noqa: F401  before numpy: it pins the arithmetic
+
+# isort: split
 import numpy as np
 import pytest
 from command_line import SCAN_START, run_here

@@ -18,6 +18,7 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
+from cvqmpt_lab.base.arithmetic import numpy_instructions
 from cvqmpt_lab.base.errors import InvalidInputError, shown
 from cvqmpt_lab.base.files import replacing
 
@@ -64,7 +65,8 @@ def cached_arrays(
 
     Args:
         kind: folder of the cache.
-        made_of: all data that the arrays depend on, including the source code that makes them.
+        made_of: all data that the arrays depend on, including the source code that makes them; the
+            kernels of numpy are added here.
         make: function that computes the arrays, by name.
         fits: whether arrays from disk have the form of `make`'s; if not, they are computed again.
         most: largest number of files of one kind; the oldest are deleted first.
@@ -72,7 +74,8 @@ def cached_arrays(
     folder = trusted_cache(cache_folder() / kind)
     if folder is None:
         return dict(make())
-    path = folder / f"{hashlib.sha256(made_of).hexdigest()[:32]}.npz"
+    kernels = f"{numpy_instructions()} {os.environ.get('OPENBLAS_CORETYPE')}".encode()
+    path = folder / f"{hashlib.sha256(kernels + made_of).hexdigest()[:32]}.npz"
     with (
         contextlib.suppress(OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile),
         np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as found,

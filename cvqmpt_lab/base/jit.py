@@ -14,6 +14,7 @@ or nan; a product and a sum may become one instruction (saves a quarter of forwa
 
 import contextlib
 import functools
+import hashlib
 import logging
 import os
 import pickle
@@ -68,13 +69,18 @@ KERNEL_FILES = [
     if file.relative_to(PACKAGE).parts[0] not in LINKED
     and b"cvqmpt_lab.base.jit" in file.read_bytes()
 ]
-# digest of all files with kernels: numba does not notice a change of a function that is called
-KERNELS_DIGEST = sources_digest(*KERNEL_FILES)
+# Digest of all files with kernels (numba does not notice a change of a function that is called) and
+# of the processor that they are compiled for: machine code for another one is never loaded.
+KERNELS_DIGEST = hashlib.sha256(
+    repr(
+        (sources_digest(*KERNEL_FILES), cpu_target.target_context.codegen().magic_tuple())
+    ).encode()
+).hexdigest()[:16]
 
 
 @functools.cache
 def folder() -> Path | None:
-    """Return the folder for machine code of the present sources, or None."""
+    """Return the folder for machine code of the present sources and processor, or None."""
     place = trusted_cache(named_folder("NUMBA_CACHE_DIR", cache_folder()) / KERNELS_DIGEST)
     if place is not None:
         with contextlib.suppress(OSError):

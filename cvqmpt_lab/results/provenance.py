@@ -13,6 +13,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from cvqmpt_lab.base.arithmetic import facts
 from cvqmpt_lab.base.codec import from_plain
 from cvqmpt_lab.base.errors import RunStoreError, located
 from cvqmpt_lab.base.files import differences, read_json_object, write_text
@@ -61,6 +62,7 @@ def provenance(
         "platform": platform.platform(),
         "cpu_model": cpus[0] if cpus else platform.processor() or None,
         "cpu_count": os.cpu_count(),
+        "arithmetic": facts(),
         "processes": processes,
         **({"problem_files": dict(problems)} if problems else {}),
         **({"planners": dict(planners)} if planners else {}),
@@ -149,7 +151,7 @@ class ProvenanceFile:
             **dict.fromkeys(
                 ("git_commit", "cpu_model", "date_utc", "platform", "profile"), str | None
             ),
-            "versions": Mapping[str, Any],
+            **dict.fromkeys(("versions", "arithmetic"), Mapping[str, Any]),
             "command": tuple[str, ...] | None,
             "git_dirty": bool | None,
             "cpu_count": int | None,

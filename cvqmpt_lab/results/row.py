@@ -223,6 +223,17 @@ class ResultRow:
         return self.problem.partition("/")[0]
 
 
+def ended_runs(rows: Iterable[ResultRow]) -> set[RowKey]:
+    """Return the keys of runs that the guard of worker processes ended: they have no result."""
+    return {row.run_key for row in rows if row.fail_reason is FailReason.WORKER_HUNG}
+
+
+def without_ended(rows: Sequence[ResultRow]) -> list[ResultRow]:
+    """Return the rows of all runs but those that the guard of worker processes ended."""
+    ended = ended_runs(rows)
+    return [row for row in rows if row.run_key not in ended]
+
+
 class _Column(NamedTuple):
     """A column of ``runs.csv``."""
 

@@ -22,12 +22,14 @@ from cvqmpt_lab.base.files import locked, make_folder, read_bytes, write_bytes
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE, ProvenanceFile
 from cvqmpt_lab.results.row import (
     RUNS_FILE,
+    FailReason,
     ResultRow,
     RowKey,
     csv_text,
     parse_rows,
     read_rows,
     sorted_rows,
+    without_ended,
     write_rows,
 )
 
@@ -136,7 +138,7 @@ class RunStore:
 
     def done(self) -> frozenset[RowKey]:
         """Return the keys of finished runs; a task is one run with the name of the task."""
-        return frozenset(row.run_key for row in self._rows.values())
+        return frozenset(row.run_key for row in without_ended([*self._rows.values()]))
 
     def append(self, rows: Sequence[ResultRow], paths: Sequence[np.ndarray] = ()) -> None:
         """Add all rows of one run and the states (m, n) of its paths; wait until they are on disk.
@@ -169,7 +171,10 @@ class RunStore:
 
 
 def directory_rows(directory: Path) -> list[ResultRow]:
-    """Return the rows of a results directory; RunStoreError has advice if there are none."""
+    """Return the rows of a results directory, without those of runs that the guard ended.
+
+    RunStoreError: there are none; the message has advice.
+    """
     advice = f"run an experiment with --out {directory} first"
     if not directory.is_dir():
         raise RunStoreError(f"{directory} is not a directory; {advice}")
@@ -182,7 +187,23 @@ def directory_rows(directory: Path) -> list[ResultRow]:
     rows = read_rows(directory / RUNS_FILE)
     if not rows:
         raise RunStoreError(f"{directory / RUNS_FILE} has no rows; {advice}")
-    return rows
+    counted = without_ended(rows)
+    if not counted:
+        raise RunStoreError(f"{directory}: every run was ended by the guard; repeat the command")
+    return counted
+
+
+def ended_note(directory: Path) -> str:
+    """Return a sentence on the runs that the guard of worker processes ended, or ""."""
+    rows = read_rows(directory / RUNS_FILE)
+    ended = {row.run_key: row for row in rows if row.fail_reason is FailReason.WORKER_HUNG}
+    if not ended:
+        return ""
+    first = next(iter(ended.values()))
+    return (
+        f"Left out, also of shares: {len(ended)} runs that the guard of processor time ended, such "
+        f"as {first.planner} on {first.problem} ({first.detail}). The same command runs them again."
+    )
 
 
 def states_hash(states: np.ndarray) -> str:

@@ -1,8 +1,8 @@
 """Certify a path of your own; the certificate lists every violated bound."""
 
-import numpy as np
-
 from cvqmpt_lab import Budget, JointPath, certify, solve, suite_named
+
+import numpy as np
 
 problem = suite_named("place-task").solvable(7)
 solution = solve(problem, "roadmap", Budget(seconds=10.0), seed=0)

@@ -1,8 +1,8 @@
 """Print the learned dictionary: each code is a Gaussian N(mu, Sigma) in joint space."""
 
-import numpy as np
-
 from cvqmpt_lab import dictionary_gaussians, load_vq_mpt, robot_from_source
+
+import numpy as np
 
 panda = robot_from_source({"name": "panda"})
 means, covariances = dictionary_gaussians(load_vq_mpt(panda), panda)

@@ -3,8 +3,6 @@
 The policy here follows a planned motion and errs once: at 3 s it turns joint 2 downwards.
 """
 
-import numpy as np
-
 from cvqmpt_lab import (
     Budget,
     JointState,
@@ -15,6 +13,8 @@ from cvqmpt_lab import (
     solve,
     suite_named,
 )
+
+import numpy as np
 
 solution = solve(suite_named("place-task").solvable(7), "birrt", Budget(seconds=10.0), seed=0)
 problem = solution.problem

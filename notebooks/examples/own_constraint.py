@@ -1,7 +1,5 @@
 """Keep a constraint function of your own: the hand follows the inside of a bowl."""
 
-import numpy as np
-
 from cvqmpt_lab import (
     Budget,
     FunctionConstraint,
@@ -11,6 +9,8 @@ from cvqmpt_lab import (
     robot_from_source,
     solve,
 )
+
+import numpy as np
 
 robot = robot_from_source({"name": "panda"})
 

@@ -1,8 +1,8 @@
 """Give the search your own sampling distribution: Gaussians halfway to the goals."""
 
-import numpy as np
-
 from cvqmpt_lab import Budget, GaussianMixture, Method, Proposal, solve, suite_named
+
+import numpy as np
 
 
 def halfway(query, observation):

@@ -1,7 +1,5 @@
 """Plan for a UR5 around a box, with the hand upright."""
 
-import numpy as np
-
 from cvqmpt_lab import (
     Box,
     Budget,
@@ -13,6 +11,8 @@ from cvqmpt_lab import (
     robot_from_source,
     solve_with_margin,
 )
+
+import numpy as np
 
 robot = robot_from_source({"name": "ur5"})
 box = SceneObject("box", Box((0.2, 0.2, 0.3)), pose((0.5, 0.0, 0.15)))

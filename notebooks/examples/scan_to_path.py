@@ -1,7 +1,5 @@
 """Build an occupancy map from a point cloud, and plan around it."""
 
-import numpy as np
-
 from cvqmpt_lab import (
     Budget,
     OccupancyMap,
@@ -12,6 +10,8 @@ from cvqmpt_lab import (
     robot_from_source,
     solve_with_margin,
 )
+
+import numpy as np
 
 rng = np.random.default_rng(0)
 points = rng.uniform((0.45, -0.1, 0.0), (0.65, 0.1, 0.5), (4000, 3))  # a pillar [m]

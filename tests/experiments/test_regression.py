@@ -31,8 +31,8 @@ from cvqmpt_lab.search.planner_interface import GaussianMixture, Proposal, Unifo
 from cvqmpt_lab.search.result import Budget, PlanStatus, Timings
 from cvqmpt_lab.vqmpt import sequence_predictor
 
-HERE = {"cpu_model": "this one", "numba": "1"}
-ELSEWHERE = {"cpu_model": "another one", "numba": "1"}
+HERE = {"numba for": "this one", "numba": "1"}
+ELSEWHERE = {"numba for": "another one", "numba": "1"}
 
 
 class BrokenBiRRT(BiRRT):
@@ -51,33 +51,38 @@ def outcome(seed=0, planner="birrt", **values):
     return {Case(planner, 1, seed, 10): guarded | plain | values}
 
 
-CHANGES = (  # in both runs or in one; what differs where values must be equal, and elsewhere
-    (True, {}, "", ""),
-    (False, {"path_sha256": "b"}, "path_sha256 was a, is b", ""),
-    (False, {"n_projections": 103}, "n_projections was 100, is 103", ""),
-    (True, {"n_projections": 103}, "n_projections was 100", "n_projections of 2 runs: was 200, is"),
-    (False, {"n_state_checks": 95}, "n_state_checks was 100", "n_state_checks of 2 runs: was 200"),
-    (True, {"path_length_rad": 8.1}, "path_length_rad was 8.0", ""),
-    (True, {"path_length_rad": 7.8}, "path_length_rad was 8.0", "path_length_rad of 2 runs: was 1"),
-    (False, {"fail_reason": "timeout"}, "fail_reason was None", "fail_reason was None, is"),
+def many(**values):
+    """Return outcomes of 40 runs."""
+    return {case: run for seed in range(40) for case, run in outcome(seed, **values).items()}
+
+
+CHANGES = (  # in how many of 40 runs; what differs with equal arithmetic, and elsewhere
+    (40, {}, "", ""),
+    (1, {"path_sha256": "b"}, "path_sha256 was a, is b", ""),
+    (1, {"n_projections": 300}, "n_projections was 100, is 300", ""),
+    (40, {"n_state_checks": 101}, "n_state_checks was 100", ""),
+    (40, {"n_state_checks": 97}, "n_state_checks was 100", "50% quantile of the factors"),
+    (5, {"n_projections": 300}, "n_projections was 100", "90% quantile of the factors"),
+    (40, {"path_length_rad": 8.3}, "path_length_rad was 8.0", "50% quantile"),
+    (2, {"fail_reason": "timeout"}, "fail_reason was None", ""),
+    (3, {"fail_reason": "timeout"}, "fail_reason was None", "3 of 40 runs end otherwise"),
 )
 
 
-def test_equality_here_and_stated_bounds_elsewhere():
-    """With equal processor and versions, every changed run gives a line."""
-    expected = Expectations(HERE, outcome(0) | outcome(1))
-    for both, change, exactly, by_bounds in CHANGES:
-        outcomes = outcome(0, **change) | outcome(1, **(change if both else {}))
-        exact_lines = [exactly] * (1 + both) if exactly else []
-        for here, wanted in ((HERE, exact_lines), (ELSEWHERE, [by_bounds] if by_bounds else [])):
-            _, found = compare(expected, outcomes, here)
-            assert len(found) == len(wanted)
-            assert all(words in line for words, line in zip(wanted, found, strict=True)), found
-    more = outcome(0, n_projections=200) | outcome(1)
-    assert compare(expected, more, ELSEWHERE, within=0.5)[1] == []
-    charts = [outcome(planner="tb-rrt", n_projections=n) for n in (100, 300)]
-    assert compare(Expectations(HERE, charts[0]), charts[1], ELSEWHERE)[1] == []
-    assert len(compare(Expectations(HERE, charts[0]), charts[1], HERE)[1]) == 1
+@pytest.mark.parametrize(("count", "change", "exactly", "by_bounds"), CHANGES)
+def test_equality_here_and_stated_bounds_elsewhere(count, change, exactly, by_bounds):
+    """With equal arithmetic and versions, every changed run gives a line."""
+    expected, outcomes = Expectations(HERE, many()), many()
+    for case in [*outcomes][:count]:
+        outcomes[case] = outcomes[case] | change
+    exact_lines = [exactly] * count if exactly else []
+    for here, wanted in ((HERE, exact_lines), (ELSEWHERE, [by_bounds] if by_bounds else [])):
+        mode, found = compare(expected, outcomes, here)
+        assert len(found) == len(wanted)
+        assert all(words in line for words, line in zip(wanted, found, strict=True)), found
+        assert mode.startswith("exactly") is (here is HERE or not exactly)
+    if "50%" in by_bounds:
+        assert compare(expected, outcomes, ELSEWHERE, typical=1.5)[1] == []
 
 
 def test_the_sample_has_every_planner_of_every_suite_and_a_failure():

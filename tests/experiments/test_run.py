@@ -16,13 +16,14 @@ from refusals import refused
 from cvqmpt_lab.base.errors import CvqmptError, InvalidInputError, RunStoreError
 from cvqmpt_lab.experiments import executors
 from cvqmpt_lab.experiments import run as runner
-from cvqmpt_lab.experiments.executors import Lost, dask_cluster, local_processes
+from cvqmpt_lab.experiments.executors import Limit, Lost, dask_cluster, local_processes
 from cvqmpt_lab.experiments.experiment import Experiment, weights_of
 from cvqmpt_lab.experiments.run import executor_for, run_experiment
+from cvqmpt_lab.paper_tables.rendering import render_directory
 from cvqmpt_lab.planning.warm_up import compile_kernels
 from cvqmpt_lab.results.provenance import ProvenanceFile
-from cvqmpt_lab.results.row import RUNS_FILE, FailReason, read_rows, sorted_rows
-from cvqmpt_lab.results.store import PARTIAL_FILE
+from cvqmpt_lab.results.row import RUNS_FILE, FailReason, read_rows, sorted_rows, write_rows
+from cvqmpt_lab.results.store import PARTIAL_FILE, directory_rows
 from cvqmpt_lab.search.result import Budget
 
 ENOUGH = Budget(iterations=20_000)
@@ -160,6 +161,11 @@ def perform(mark, task):
         os.kill(os.getpid(), signal.SIGSTOP)  # does not hear SIGTERM either
     if task == "holds the interpreter lock":
         ctypes.PyDLL(None).sleep(600)  # as compiled code that never returns
+    if task == "never ends":
+        while True:
+            pass
+    if task == "waits a little":  # longer than the processor time that it may use
+        time.sleep(1.5)
     if task == "too much memory":
         raise MemoryError("Unable to allocate")
     return os.getpid()
@@ -169,22 +175,37 @@ def perform(mark, task):
 def test_what_dies_hangs_or_eats_memory_costs_its_own_task_only(tmp_path, monkeypatch, count):
     monkeypatch.setattr(pebble.CONSTS, "term_timeout", 0.2)
     tasks = ["answers", "dies", "too much memory", "hangs", "holds the interpreter lock"]
-    tasks += ["dies once", "answers", "answers"]
-    with local_processes(count, lambda task: 1.0) as executor:
+    tasks += ["dies once", "never ends", "waits a little", "answers", "answers"]
+    with local_processes(count, lambda task: Limit(1.0, 2.0)) as executor:
         found = list(executor.results(partial(perform, tmp_path / "mark"), tasks))
     assert sorted(task for task, _ in found) == sorted(tasks)
     lost = {task: result for task, result in found if isinstance(result, Lost)}
     killed = "its process was ended by SIGKILL; perhaps memory ran out, twice"
-    hung = FailReason.WORKER_HUNG, "no answer in 1 s; its process was ended"
+    hung = FailReason.WORKER_HUNG, "it used no processor for 2 s; its process was ended"
+    busy = FailReason.WORKER_HUNG, "no answer in 1 s of processor time; its process was ended"
     assert lost == {
         "dies": (FailReason.WORKER_DIED, killed),
         "hangs": hung,
         "holds the interpreter lock": hung,
+        "never ends": busy,
         "too much memory": (FailReason.OUT_OF_MEMORY, "Unable to allocate"),
     }
     assert os.getpid() not in [result for task, result in found if task not in lost]
     with pytest.raises(ProcessLookupError):
         os.kill(int((tmp_path / "mark.pid").read_text()), 0)
+
+
+def test_a_run_that_the_guard_ended_counts_nowhere_and_runs_again(tmp_path):
+    whole = run(FOUR, tmp_path)
+    ended = {"fail_reason": FailReason.WORKER_HUNG, "detail": "no answer in 1 s of processor time"}
+    lost = replace(whole[0], solved=False, certified=None, path_sha256=None, **ended)
+    write_rows(tmp_path / RUNS_FILE, [lost, *whole[1:]])
+    assert len(directory_rows(tmp_path)) == len(whole) - 1
+    table = render_directory(tmp_path).texts["table.md"]
+    assert f"1 runs that the guard of processor time ended, such as {lost.planner}" in table
+    again = run(FOUR, tmp_path)
+    assert differences(again, whole) == []
+    assert "guard" not in render_directory(tmp_path).texts["table.md"]
 
 
 def process_id(_):
@@ -229,7 +250,7 @@ def test_a_cluster_makes_the_rows_of_one_process_though_a_worker_is_killed(tmp_p
 def test_what_is_no_cluster_is_refused_in_one_line(monkeypatch):
     pytest.importorskip("distributed")
     monkeypatch.setattr(executors, "CONNECT_S", 0.3)
-    cluster = partial(dask_cluster, "tcp://127.0.0.1:9", lambda task: 1.0, dict)
+    cluster = partial(dask_cluster, "tcp://127.0.0.1:9", lambda task: Limit(1.0), dict)
     told = r"no Dask scheduler answers at tcp://127.0.0.1:9: .*start one"
     refused(told, cluster().__enter__)
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
