@@ -81,8 +81,7 @@ def _arithmetic() -> Finding:
         native = os.environ.get(arithmetic.NATIVE)
         what = "is taken as the libraries take it" if native else "was replaced"
         says = f"{says}; {' '.join(other)} {what}"
-    same = found["numba for"] == found["numpy for"] == arithmetic.TARGET
-    cure = "" if same else f"{arithmetic.EFFECT} (docs/guard.md)"
+    cure = "" if arithmetic.is_pinned() else f"{arithmetic.EFFECT} (docs/guard.md)"
     return Finding("arithmetic", says, cure, needed=False)
 
 

@@ -1,8 +1,9 @@
 """Compare what notebooks print with their stored outputs, after the build of the site ran them.
 
 `python docs/compare_outputs.py build/jupyter_execute` prints differences and ends with 1 if there
-are some. Texts must be equal except for numbers, numbers up to a tolerance. Times are left out, and
-so are cells with the tag `not-compared`: what they show depends on a time limit.
+are some. Outputs must be equal where the arithmetic is pinned (docs/guard.md); elsewhere, numbers up
+to a tolerance. Times are left out, and so are cells with the tag `not-compared`: what they show
+depends on a time limit.
 """
 
 import re
@@ -12,6 +13,8 @@ from itertools import zip_longest
 from pathlib import Path
 
 import nbformat
+
+from cvqmpt_lab.base.arithmetic import is_pinned
 
 NOTEBOOKS = Path(__file__).resolve().parents[1] / "notebooks"
 
@@ -24,8 +27,10 @@ def numbers_and_text(line: str) -> tuple[str, list[str]]:
 
 
 def close(was: str, now: str, tolerance: float = 0.02) -> bool:
-    """Return whether two numbers differ by little, or by at most one in the last digit."""
+    """Return whether two numbers are equal, or differ by little where the arithmetic may differ."""
     a, b = float(was), float(now)
+    if a == b or is_pinned():
+        return a == b
     digits = min(len(text.partition(".")[2]) for text in (was, now))
     return abs(a - b) <= max(tolerance * max(abs(a), abs(b)), 1.01 * 10.0**-digits)
 

@@ -68,7 +68,7 @@ class Changes(NamedTuple):
 def outcomes_under(setting: Mapping[str, str], out: Path) -> Mapping[Case, Values]:
     """Run `cvqmpt check-tables --update` in an environment, and return the values."""
     words = ["-m", "cvqmpt_lab.cli.main"]
-    here = {**os.environ, **setting}
+    here = {name: value for name, value in os.environ.items() if name not in PINNED} | {**setting}
     for command in (["warmup"], ["check-tables", "--update", "--expected", str(out)]):
         subprocess.run([sys.executable, *words, *command], env=here, check=True, stdout=sys.stderr)
     return Expectations.load(out).outcomes

@@ -8,6 +8,7 @@ before they are imported: ``import cvqmpt_lab`` runs it. CVQMPT_NATIVE=1 leaves 
 
 import os
 import sys
+from functools import cache
 from pathlib import Path
 
 TARGET = "x86-64-v3"
@@ -87,6 +88,12 @@ def numpy_uses() -> str:
     if (sets, blas) == (["X86_V3"], [BLAS]):
         return TARGET
     return " ".join([*sets, "OpenBLAS", *blas])
+
+
+@cache
+def is_pinned() -> bool:
+    """Return whether this process computes as every x86-64 processor with AVX2 does."""
+    return numba_uses() == numpy_uses() == TARGET
 
 
 def facts() -> dict[str, str]:
