@@ -14,10 +14,6 @@ from cvqmpt_lab.base.codec import from_plain
 from cvqmpt_lab.base.errors import InvalidInputError, located
 from cvqmpt_lab.base.files import csv_table, read_json_object, write_text
 from cvqmpt_lab.base.values import Array, FloatArray
-from cvqmpt_lab.certificate.judge import ClearanceAt, Judgement, clearance_along, evenly, judge
-from cvqmpt_lab.certificate.limit_use import Ends, LimitUse, share_text
-from cvqmpt_lab.certificate.motion_check import dry_run, with_limits_of
-from cvqmpt_lab.certificate.record import record, report_lines
 from cvqmpt_lab.cli.options import (
     FLAG,
     Options,
@@ -36,13 +32,17 @@ from cvqmpt_lab.cli.problem_arguments import (
     with_tool_speed,
 )
 from cvqmpt_lab.cli.problem_options import PROBLEM, ROBOT, velocity_options
+from cvqmpt_lab.features.motion.bags import is_bag
+from cvqmpt_lab.features.motion.judge import ClearanceAt, Judgement, clearance_along, evenly, judge
+from cvqmpt_lab.features.motion.limit_use import Ends, LimitUse, share_text
+from cvqmpt_lab.features.motion.motion_check import dry_run, with_limits_of
+from cvqmpt_lab.features.motion.record import record, report_lines
+from cvqmpt_lab.features.motion.trajectory import Motion, read_motion
+from cvqmpt_lab.features.tasks.task import Task
+from cvqmpt_lab.features.tasks.world import phase_problems
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.scene.scene_files import read_scene
-from cvqmpt_lab.tasks.task import Task
-from cvqmpt_lab.tasks.world import phase_problems
-from cvqmpt_lab.trajectory.bags import is_bag
-from cvqmpt_lab.trajectory.trajectory import Motion, read_motion
 
 
 def run(args: argparse.Namespace) -> int:
@@ -94,7 +94,7 @@ def _told(
         rows = clearance_along(problem, check)
         write_text(args.clearance_out, csv_table([ClearanceAt._fields, *rows]))
     if args.save is not None:
-        from cvqmpt_lab.show.web_page import path_html  # needed for pages alone
+        from cvqmpt_lab.features.pictures.web_page import path_html  # needed for pages alone
 
         moments, states = evenly(check, 200)
         times, verdict = (None if check.times is None else moments), lines[0].partition(";")[0]
@@ -105,7 +105,11 @@ def _told(
 
 def _by_request(args: argparse.Namespace, motion: Motion) -> tuple[PlanningProblem, Judgement]:
     """Judge a motion by --request, among the obstacles of --scene."""
-    from cvqmpt_lab.certificate.motion_request import judge_request, read_request, standing_frame
+    from cvqmpt_lab.features.moveit_requests.motion_request import (
+        judge_request,
+        read_request,
+        standing_frame,
+    )
 
     if any((args.suite, args.problem_file, args.task_file)):
         raise InvalidInputError("--request states start, goals and constraint; give no problem")

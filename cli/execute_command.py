@@ -8,8 +8,6 @@ from pathlib import Path
 import numpy as np
 
 from cvqmpt_lab.base.errors import InvalidInputError
-from cvqmpt_lab.certificate.limit_use import share_text
-from cvqmpt_lab.certificate.motion_check import certified_motion, dry_run, with_limits_of
 from cvqmpt_lab.cli.options import (
     FLAG,
     SEED,
@@ -26,7 +24,11 @@ from cvqmpt_lab.cli.options import (
 from cvqmpt_lab.cli.plan_command import FILM_SUFFIX
 from cvqmpt_lab.cli.problem_arguments import budget, chosen_problem, margin_of_task
 from cvqmpt_lab.cli.problem_options import BUDGET, MARGIN, PROBLEM, ROBOT, bodies_option
-from cvqmpt_lab.execution.execute import (
+from cvqmpt_lab.features.motion.limit_use import share_text
+from cvqmpt_lab.features.motion.motion_check import certified_motion, dry_run, with_limits_of
+from cvqmpt_lab.features.motion.timing import TimingSettings
+from cvqmpt_lab.features.motion.trajectory import Motion, Trajectory, read_motion
+from cvqmpt_lab.features.physics.execute import (
     CONTACT_TIMES_S,
     Execution,
     Outcome,
@@ -35,15 +37,13 @@ from cvqmpt_lab.execution.execute import (
     execute_task,
     require_simulated,
 )
-from cvqmpt_lab.execution.simulation import CONTROLLERS, Controller, mujoco_module
+from cvqmpt_lab.features.physics.simulation import CONTROLLERS, Controller, mujoco_module
+from cvqmpt_lab.features.tasks.solve import solve_task
+from cvqmpt_lab.features.tasks.task import Task
 from cvqmpt_lab.planning.margins import Margin, solve_with_margin
 from cvqmpt_lab.planning.planners import default_planner, planner_named
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.search.result import JointPath
-from cvqmpt_lab.tasks.solve import solve_task
-from cvqmpt_lab.tasks.task import Task
-from cvqmpt_lab.trajectory.timing import TimingSettings
-from cvqmpt_lab.trajectory.trajectory import Motion, Trajectory, read_motion
 
 HOLDS = ("weld", "friction")
 
@@ -66,8 +66,8 @@ def run(args: argparse.Namespace) -> int:
     else:
         print("\n".join(_lines(executions, share)))
     if args.film is not None:
-        from cvqmpt_lab.show.bodies import Frame, drawing_of_frames
-        from cvqmpt_lab.show.picture import film_solution
+        from cvqmpt_lab.features.pictures.bodies import Frame, drawing_of_frames
+        from cvqmpt_lab.features.pictures.picture import film_solution
 
         first = executions[0]
         frames = [Frame(*moment) for moment in first.moments]

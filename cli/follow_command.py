@@ -15,12 +15,12 @@ from cvqmpt_lab.base.values import bound_text
 from cvqmpt_lab.cli.options import SEED, Options, file_of_kind, one_or_two, option
 from cvqmpt_lab.cli.problem_arguments import chosen_robot, configuration
 from cvqmpt_lab.cli.problem_options import ROBOT
-from cvqmpt_lab.planning.follow_lines import follow_lines, timed
+from cvqmpt_lab.features.lines.follow_lines import follow_lines, timed
+from cvqmpt_lab.features.motion.timing import TimingSettings
+from cvqmpt_lab.features.motion.trajectory import save_trajectory
 from cvqmpt_lab.robot.robot import SLOW_SPEED
 from cvqmpt_lab.scene.scene import Scene, refuse_far_poses
 from cvqmpt_lab.scene.scene_files import read_scene
-from cvqmpt_lab.trajectory.timing import TimingSettings
-from cvqmpt_lab.trajectory.trajectory import save_trajectory
 
 
 def run(args: argparse.Namespace) -> int:

@@ -13,6 +13,7 @@ import numpy as np
 from cvqmpt_lab.base.codec import from_plain, to_plain
 from cvqmpt_lab.base.errors import InvalidInputError, require_installed
 from cvqmpt_lab.base.files import read_json_object
+from cvqmpt_lab.benchmarks.results.provenance import provenance
 from cvqmpt_lab.cli.options import (
     FLAG,
     ONE_OF,
@@ -27,7 +28,6 @@ from cvqmpt_lab.cli.options import (
     positive_int,
     refuse_given,
 )
-from cvqmpt_lab.results.provenance import provenance
 from cvqmpt_lab.vqmpt.weights import (
     MPNET,
     SHIPPED,

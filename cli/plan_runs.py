@@ -41,6 +41,7 @@ from cvqmpt_lab.cli.problem_arguments import (
     with_limits,
 )
 from cvqmpt_lab.cli.problem_options import SCAN
+from cvqmpt_lab.features.tasks.task import Task
 from cvqmpt_lab.planning.margins import Kept, Margin, kept_by, solve_keeping
 from cvqmpt_lab.planning.planners import default_planner, planner_named
 from cvqmpt_lab.planning.solution import Solution, solution_data
@@ -48,12 +49,11 @@ from cvqmpt_lab.planning.warm_up import compile_kernels, warm_up
 from cvqmpt_lab.problem import PlanningProblem, with_projected_start
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.robot import SLOW_SPEED, Robot
-from cvqmpt_lab.tasks.task import Task
 
 if TYPE_CHECKING:
-    from cvqmpt_lab.tasks.solve import TaskSolution
-    from cvqmpt_lab.trajectory.timing import TimingSettings
-    from cvqmpt_lab.trajectory.trajectory import Trajectory
+    from cvqmpt_lab.features.motion.timing import TimingSettings
+    from cvqmpt_lab.features.motion.trajectory import Trajectory
+    from cvqmpt_lab.features.tasks.solve import TaskSolution
 
 
 def run(args: argparse.Namespace) -> int:
@@ -107,8 +107,8 @@ def _solved_problem(
         # obstacles are those of the suite or file; the cloud is the input of a network
         method = method.with_cloud(scanned(args, arm_of(args, problem.robot, problem.start)).points)
     if args.trajectory:
-        from cvqmpt_lab.scene.cloud_files import kind_of
-        from cvqmpt_lab.trajectory.trajectory import TRAJECTORY_WRITERS
+        from cvqmpt_lab.base.readers import kind_of
+        from cvqmpt_lab.features.motion.trajectory import TRAJECTORY_WRITERS
 
         # a wrong file name or speed is refused before anything is planned
         kind_of(writable_file(args.trajectory), TRAJECTORY_WRITERS, "trajectory")
@@ -138,14 +138,18 @@ def _solved_problem(
     if not any(velocity is not None for velocity in velocities):
         solution = solved(problem)
     else:
-        from cvqmpt_lab.planning.moving_ends import solve_on_the_move
+        from cvqmpt_lab.features.lines.moving_ends import solve_on_the_move
 
         limits = problem.robot.joint_limits.scaled(args.speed)
         solution = solve_on_the_move(problem, velocities, limits, solved, args.exact_clearance)
         if solution.path is not None:
             kept = kept_by(problem, solution.path, kept)
     if args.json:
-        return solution, solution_data(solution, planner, why, problem) | {"margin": str(kept)}
+        # it needs scipy.interpolate, which takes half a second to import
+        from cvqmpt_lab.features.motion.record import record_of
+
+        data = solution_data(solution, planner, record_of(solution, problem), why)
+        return solution, data | {"margin": str(kept)}
     return solution, [*solution.report(planner, why), f"margin      {kept}"]
 
 
@@ -154,8 +158,8 @@ def _solved_task(
 ) -> tuple["Solution | TaskSolution", dict[str, Any] | list[str]]:
     """Solve a task; return its solution and report, which is data for --json, else lines."""
     # timing needs scipy.interpolate, which takes half a second to import
-    from cvqmpt_lab.tasks.solve import solve_task, task_data, task_lines
-    from cvqmpt_lab.trajectory.timing import TimingSettings
+    from cvqmpt_lab.features.motion.timing import TimingSettings
+    from cvqmpt_lab.features.tasks.solve import solve_task, task_data, task_lines
 
     of_problems = ("cloud", "optimize", "save_path", "project_start")
     refuse_given(args, of_problems, "does not go with a task; leave it out")
@@ -209,9 +213,9 @@ def _problem_or_task(args: argparse.Namespace) -> PlanningProblem | Task:
 
 def _write_trajectory(args: argparse.Namespace, solution: Solution) -> str:
     """Time the certified path, certify and write the motion; return the line to print."""
-    from cvqmpt_lab.certificate.motion_check import certified_motion
-    from cvqmpt_lab.trajectory.timing import TimingSettings
-    from cvqmpt_lab.trajectory.trajectory import save_trajectory
+    from cvqmpt_lab.features.motion.motion_check import certified_motion
+    from cvqmpt_lab.features.motion.timing import TimingSettings
+    from cvqmpt_lab.features.motion.trajectory import save_trajectory
 
     if not solution.solved or solution.path is None:
         return "trajectory  none: only certified paths are timed"
@@ -238,9 +242,9 @@ def _write_trajectories(args: argparse.Namespace, solution: "TaskSolution") -> s
 
     The index lists these files and the gripper's events in the order in which they are executed.
     """
-    from cvqmpt_lab.tasks.solve import event_of
-    from cvqmpt_lab.trajectory.timing import TimingSettings
-    from cvqmpt_lab.trajectory.trajectory import save_trajectory
+    from cvqmpt_lab.features.motion.timing import TimingSettings
+    from cvqmpt_lab.features.motion.trajectory import save_trajectory
+    from cvqmpt_lab.features.tasks.solve import event_of
 
     if not solution.solved:
         return "trajectory  none: only tasks whose phases are all certified are written"
@@ -284,7 +288,7 @@ def _at_rate(
     """
     if rate is None:
         return motion
-    from cvqmpt_lab.certificate.motion_check import trajectory_faults
+    from cvqmpt_lab.features.motion.motion_check import trajectory_faults
 
     sampled = motion.sampled(1.0 / rate)
     reasons = trajectory_faults(problem, sampled, timing)
@@ -315,7 +319,7 @@ def _show(args: argparse.Namespace, solution: "Solution | TaskSolution") -> list
     lines = []
     suffix = None if args.save is None else args.save.suffix
     if args.picture:
-        from cvqmpt_lab.show.picture import draw_solution, task_image, write_picture
+        from cvqmpt_lab.features.pictures.picture import draw_solution, task_image, write_picture
 
         what = "picture"
         if isinstance(solution, Solution):
@@ -326,12 +330,12 @@ def _show(args: argparse.Namespace, solution: "Solution | TaskSolution") -> list
             what = f"picture of {', '.join(names)}"
         lines.append(f"{what} written to {args.picture}")
     if suffix == FILM_SUFFIX:
-        from cvqmpt_lab.show.picture import film_solution
+        from cvqmpt_lab.features.pictures.picture import film_solution
 
         film_solution(solution, args.save, carried=carried, progress=ProgressBar("film"))
         lines.append(f"film written to {args.save}")
     if suffix == PAGE_SUFFIX:
-        from cvqmpt_lab.show.web_page import save_page
+        from cvqmpt_lab.features.pictures.web_page import save_page
 
         save_page(solution, args.save, carried)
         size = args.save.stat().st_size / 1e6
@@ -340,7 +344,7 @@ def _show(args: argparse.Namespace, solution: "Solution | TaskSolution") -> list
             "needed"
         )
     if suffix == RECORDING_SUFFIX:
-        from cvqmpt_lab.show.recording import log_solution
+        from cvqmpt_lab.features.pictures.recording import log_solution
 
         log_solution(solution, args.save, carried)
         lines.append(f"recording written to {args.save}; open it with: rerun {args.save}")
@@ -349,7 +353,7 @@ def _show(args: argparse.Namespace, solution: "Solution | TaskSolution") -> list
 
 def serve(args: argparse.Namespace) -> None:
     """Serve the page until Ctrl-C."""
-    from cvqmpt_lab.show.studio import studio  # half a second to import
+    from cvqmpt_lab.features.studio.studio import studio  # half a second to import
 
     problem = _of_page(args)
     compile_kernels(compiling())

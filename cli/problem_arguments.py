@@ -13,6 +13,7 @@ from cvqmpt_lab.benchmarks.declarations import SUITES
 from cvqmpt_lab.benchmarks.suite import suite_named
 from cvqmpt_lab.cli.options import numbers, refuse_given
 from cvqmpt_lab.cli.problem_options import ROBOT_DETAILS
+from cvqmpt_lab.features.tasks.task import Task
 from cvqmpt_lab.planning.margins import Margin
 from cvqmpt_lab.planning.planners import PLANNERS
 from cvqmpt_lab.problem import PlanningProblem
@@ -21,7 +22,6 @@ from cvqmpt_lab.robot.robot import FrameLimit, Robot
 from cvqmpt_lab.robot.source import with_absolute_paths
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.work import PRICES
-from cvqmpt_lab.tasks.task import Task
 
 
 def robot_source(
@@ -220,7 +220,9 @@ def with_tool_speed(args: argparse.Namespace, robot: Robot) -> Robot:
     """Return the robot with --tool-speed for its end effectors; without W their own one stays."""
     if args.tool_speed is None:
         return robot
-    from cvqmpt_lab.robot.frame_speeds import with_frame_limits  # few commands state a speed
+    from cvqmpt_lab.features.motion.frame_speeds import (
+        with_frame_limits,  # few commands state a speed
+    )
 
     speed, *turning = args.tool_speed
     limits = dict(robot.frame_limits)

@@ -58,12 +58,12 @@ from cvqmpt_lab.cli.problem_options import CODE, ROBOT, ROBOT_DETAILS, pose_regi
 from cvqmpt_lab.constraints.goals import SAMPLE_MARGIN_M, find_in_region
 from cvqmpt_lab.constraints.named import Region, rpy_of, upper_axis
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
+from cvqmpt_lab.features.tasks.task import Task
 from cvqmpt_lab.planning.pipeline import with_drawn_goals
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.robot.urdf import read_urdf
-from cvqmpt_lab.tasks.task import Task
 
 
 def run(args: argparse.Namespace) -> None:

@@ -12,6 +12,9 @@ from pathlib import Path
 from cvqmpt_lab.base.errors import InvalidInputError, require_choice
 from cvqmpt_lab.base.files import write_bytes, write_text
 from cvqmpt_lab.benchmarks.declarations import SUITES
+from cvqmpt_lab.benchmarks.results.provenance import PROVENANCE_FILE
+from cvqmpt_lab.benchmarks.results.row import RUNS_FILE, read_rows
+from cvqmpt_lab.benchmarks.results.store import directory_rows
 from cvqmpt_lab.benchmarks.suite import folder_suite, suite_named
 from cvqmpt_lab.cli.options import (
     ONE_OF,
@@ -42,6 +45,7 @@ from cvqmpt_lab.experiments.experiment import PROFILES, Experiment, parts_of, pl
 from cvqmpt_lab.experiments.figures.code_update import UpdateSettings
 from cvqmpt_lab.experiments.figures.paper import FIGURES, reproduce_figure, summary
 from cvqmpt_lab.experiments.run import default_jobs, executor_for, run_experiment
+from cvqmpt_lab.features.tasks.task import Task
 from cvqmpt_lab.paper_tables.committed import RESULTS
 from cvqmpt_lab.paper_tables.measures import grouped
 from cvqmpt_lab.paper_tables.pages import page_text
@@ -49,10 +53,6 @@ from cvqmpt_lab.paper_tables.rendering import render_directory
 from cvqmpt_lab.paper_tables.table_engine import by_planner
 from cvqmpt_lab.planning.planners import PLANNERS
 from cvqmpt_lab.planning.warm_up import compile_kernels
-from cvqmpt_lab.results.provenance import PROVENANCE_FILE
-from cvqmpt_lab.results.row import RUNS_FILE, read_rows
-from cvqmpt_lab.results.store import directory_rows
-from cvqmpt_lab.tasks.task import Task
 
 ALL = "all"
 FIXED_BY_PROFILE = (

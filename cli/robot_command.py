@@ -50,7 +50,7 @@ def run(args: argparse.Namespace) -> None:
     lines = report(robot, model, guesses)
     print(json.dumps(model, indent=1) if args.json else "\n".join(lines))
     if args.picture:
-        from cvqmpt_lab.show.picture import draw
+        from cvqmpt_lab.features.pictures.picture import draw
 
         draw(robot, args.picture)
 

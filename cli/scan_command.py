@@ -38,15 +38,8 @@ from cvqmpt_lab.constraints.named import (
     upper_axis,
 )
 from cvqmpt_lab.constraints.region_constraint import Member
-from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.scene.cloud_files import CLOUD_HEADERS, write_cloud
-from cvqmpt_lab.scene.scene import Scene, check_extent
-from cvqmpt_lab.scene.scene_files import read_scene
-from cvqmpt_lab.scene.shapes import PointCloud
-from cvqmpt_lab.sensing.crop import Crop
-from cvqmpt_lab.sensing.plane import CAMERA_UP
-from cvqmpt_lab.sensing.scan import (
+from cvqmpt_lab.features.scan.plane import CAMERA_UP
+from cvqmpt_lab.features.scan.scan import (
     MAP_RESOLUTION_M,
     Arm,
     MapSettings,
@@ -57,6 +50,13 @@ from cvqmpt_lab.sensing.scan import (
     scan,
     unseen_share,
 )
+from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.scene.cloud_files import CLOUD_HEADERS, write_cloud
+from cvqmpt_lab.scene.scene import Scene, check_extent
+from cvqmpt_lab.scene.scene_files import read_scene
+from cvqmpt_lab.scene.shapes import PointCloud
+from cvqmpt_lab.sensing.crop import Crop
 
 
 def scan_of(args: argparse.Namespace, files: Sequence[Path], robot: Robot, arm: Arm | None) -> Scan:
@@ -75,7 +75,7 @@ def scan_of(args: argparse.Namespace, files: Sequence[Path], robot: Robot, arm: 
     intrinsics = _each("--intrinsics", args.intrinsics, files)
     extrinsics = _each("--extrinsics", args.extrinsics, files)
     cameras = zip(files, intrinsics, extrinsics, strict=True)
-    from cvqmpt_lab.sensing.depth import read_capture  # not needed for clouds
+    from cvqmpt_lab.features.scan.depth import read_capture  # not needed for clouds
 
     captures = [read_capture(file, lens, pose, args.scale) for file, lens, pose in cameras]
     gaps = [float(np.linalg.norm(capture.in_world, axis=1).min()) for capture in captures]
@@ -328,7 +328,7 @@ def run(args: argparse.Namespace) -> None:
         if args.robot is not None or args.urdf is not None:
             shown = arm or Arm(robot, 0.5 * (robot.lower + robot.upper))
         # Pillow and drawing take 0.2 s to import
-        from cvqmpt_lab.show.scan_picture import draw_scan
+        from cvqmpt_lab.features.scan.scan_picture import draw_scan
 
         draw_scan(made, scene, args.voxel, args.picture, shown)
         print(f"picture written to {args.picture}")

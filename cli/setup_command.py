@@ -15,6 +15,7 @@ from packaging.requirements import Requirement
 from cvqmpt_lab.base import arithmetic
 from cvqmpt_lab.base.errors import CvqmptError, install_command
 from cvqmpt_lab.base.files import write_text
+from cvqmpt_lab.benchmarks.results.provenance import cpu_facts
 from cvqmpt_lab.cli.main import THREADS
 from cvqmpt_lab.cli.options import (
     Options,
@@ -27,7 +28,6 @@ from cvqmpt_lab.cli.options import (
     refuse_given,
     writable_file,
 )
-from cvqmpt_lab.results.provenance import cpu_facts
 
 BENCHES = ("stages", "sizes", "paper-check", "paper-seconds")
 
@@ -155,10 +155,14 @@ def warmup(args: argparse.Namespace) -> None:
 
 def bench(args: argparse.Namespace) -> None:
     """Measure and print a table."""
-    from cvqmpt_lab.experiments.paper_check import paper_check
-    from cvqmpt_lab.experiments.paper_seconds import paper_seconds, ratios, write_paper_seconds
-    from cvqmpt_lab.experiments.size_times import size_times
-    from cvqmpt_lab.experiments.stage_times import stage_times, tuning_problems
+    from cvqmpt_lab.experiments.bench.paper_check import paper_check
+    from cvqmpt_lab.experiments.bench.paper_seconds import (
+        paper_seconds,
+        ratios,
+        write_paper_seconds,
+    )
+    from cvqmpt_lab.experiments.bench.size_times import size_times
+    from cvqmpt_lab.experiments.bench.stage_times import stage_times, tuning_problems
     from cvqmpt_lab.planning.warm_up import compile_kernels
 
     if args.bench != "paper-seconds":

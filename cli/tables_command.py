@@ -7,6 +7,8 @@ from pathlib import Path
 
 from cvqmpt_lab.base.errors import InvalidInputError, in_checkout
 from cvqmpt_lab.base.files import write_bytes, write_text
+from cvqmpt_lab.benchmarks.results.provenance import PROVENANCE_FILE
+from cvqmpt_lab.benchmarks.results.store import directory_rows
 from cvqmpt_lab.cli.options import (
     FLAG,
     REPEATED,
@@ -52,8 +54,6 @@ from cvqmpt_lab.paper_tables.compare_runs import (
 )
 from cvqmpt_lab.paper_tables.rendering import render_directory
 from cvqmpt_lab.paper_tables.writers import text_lines
-from cvqmpt_lab.results.provenance import PROVENANCE_FILE
-from cvqmpt_lab.results.store import directory_rows
 
 
 def show_tables(directory: Path, baseline: str | None = None) -> None:

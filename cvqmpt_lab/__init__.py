@@ -12,8 +12,6 @@ if TYPE_CHECKING:
     from cvqmpt_lab.base.poses import Placement, pose
     from cvqmpt_lab.benchmarks.suite import suite_named
     from cvqmpt_lab.certificate.certificate import certify
-    from cvqmpt_lab.certificate.judge import judge
-    from cvqmpt_lab.certificate.motion_check import certified_motion
     from cvqmpt_lab.constraints.function import FunctionConstraint, torch_constraint
     from cvqmpt_lab.constraints.function_files import allow_code, load_function
     from cvqmpt_lab.constraints.named import region
@@ -23,7 +21,19 @@ if TYPE_CHECKING:
         upright,
         upright_box,
     )
-    from cvqmpt_lab.execution.execute import execute_motion
+    from cvqmpt_lab.features.motion.judge import judge
+    from cvqmpt_lab.features.motion.motion_check import certified_motion
+    from cvqmpt_lab.features.motion.timing import TimingSettings, time_path
+    from cvqmpt_lab.features.motion.trajectory import (
+        JointState,
+        Motion,
+        read_motion,
+        save_trajectory,
+    )
+    from cvqmpt_lab.features.physics.execute import execute_motion
+    from cvqmpt_lab.features.pictures.picture import draw, film_solution
+    from cvqmpt_lab.features.tasks.solve import solve_task
+    from cvqmpt_lab.features.tasks.task import Task
     from cvqmpt_lab.planning.margins import Margin, solve_with_margin
     from cvqmpt_lab.planning.pipeline import solve, solve_many
     from cvqmpt_lab.planning.planners import PLANNERS, planner_named
@@ -37,11 +47,6 @@ if TYPE_CHECKING:
     from cvqmpt_lab.search.method import Method
     from cvqmpt_lab.search.planner_interface import GaussianMixture, Proposal
     from cvqmpt_lab.search.result import Budget, JointPath
-    from cvqmpt_lab.show.picture import draw, film_solution
-    from cvqmpt_lab.tasks.solve import solve_task
-    from cvqmpt_lab.tasks.task import Task
-    from cvqmpt_lab.trajectory.timing import TimingSettings, time_path
-    from cvqmpt_lab.trajectory.trajectory import JointState, Motion, read_motion, save_trajectory
     from cvqmpt_lab.vqmpt.codebook import dictionary_gaussians
     from cvqmpt_lab.vqmpt.weights import load_vq_mpt
 
@@ -107,8 +112,8 @@ _NAMES: dict[str, tuple[str, ...]] = {
     "base.poses": ("Placement", "pose"),
     "benchmarks.suite": ("suite_named",),
     "certificate.certificate": ("certify",),
-    "certificate.judge": ("judge",),
-    "certificate.motion_check": ("certified_motion",),
+    "features.motion.judge": ("judge",),
+    "features.motion.motion_check": ("certified_motion",),
     "constraints.function": ("FunctionConstraint", "torch_constraint"),
     "constraints.function_files": ("allow_code", "load_function"),
     "constraints.named": ("region",),
@@ -118,7 +123,7 @@ _NAMES: dict[str, tuple[str, ...]] = {
         "upright",
         "upright_box",
     ),
-    "execution.execute": ("execute_motion",),
+    "features.physics.execute": ("execute_motion",),
     "planning.margins": ("Margin", "solve_with_margin"),
     "planning.pipeline": ("solve", "solve_many"),
     "planning.planners": ("PLANNERS", "planner_named"),
@@ -132,11 +137,11 @@ _NAMES: dict[str, tuple[str, ...]] = {
     "search.method": ("Method",),
     "search.planner_interface": ("GaussianMixture", "Proposal"),
     "search.result": ("Budget", "JointPath"),
-    "show.picture": ("draw", "film_solution"),
-    "tasks.solve": ("solve_task",),
-    "tasks.task": ("Task",),
-    "trajectory.timing": ("TimingSettings", "time_path"),
-    "trajectory.trajectory": ("JointState", "Motion", "read_motion", "save_trajectory"),
+    "features.pictures.picture": ("draw", "film_solution"),
+    "features.tasks.solve": ("solve_task",),
+    "features.tasks.task": ("Task",),
+    "features.motion.timing": ("TimingSettings", "time_path"),
+    "features.motion.trajectory": ("JointState", "Motion", "read_motion", "save_trajectory"),
     "vqmpt.codebook": ("dictionary_gaussians",),
     "vqmpt.weights": ("load_vq_mpt",),
 }

@@ -1,8 +1,8 @@
 """Compare what notebooks print with their stored outputs, after the build of the site ran them.
 
 `python docs/compare_outputs.py build/jupyter_execute` prints differences and ends with 1 if there
-are some. Outputs must be equal where the arithmetic is pinned (docs/guard.md); elsewhere, numbers up
-to a tolerance. Times are left out, and so are cells with the tag `not-compared`: what they show
+are some. Outputs must be equal where the arithmetic is pinned (docs/guard.md); elsewhere, numbers
+up to a tolerance. Times are left out, and so are cells with the tag `not-compared`: what they show
 depends on a time limit.
 """
 

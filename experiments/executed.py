@@ -9,8 +9,11 @@ from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 
 from cvqmpt_lab.benchmarks.item import ExecutedProblem
-from cvqmpt_lab.certificate.motion_check import certified_motion
-from cvqmpt_lab.execution.execute import (
+from cvqmpt_lab.benchmarks.results.row import FailReason, ResultRow
+from cvqmpt_lab.experiments.experiment import Run
+from cvqmpt_lab.features.motion.motion_check import certified_motion
+from cvqmpt_lab.features.motion.timing import TimingSettings
+from cvqmpt_lab.features.physics.execute import (
     CONTACT_TIMES_S,
     Execution,
     Outcome,
@@ -18,13 +21,10 @@ from cvqmpt_lab.execution.execute import (
     execute_motion,
     execute_task,
 )
-from cvqmpt_lab.execution.simulation import mujoco_module
-from cvqmpt_lab.experiments.experiment import Run
+from cvqmpt_lab.features.physics.simulation import mujoco_module
+from cvqmpt_lab.features.tasks.solve import solve_task
+from cvqmpt_lab.features.tasks.task import Task
 from cvqmpt_lab.planning.margins import Margin, solve_with_margin
-from cvqmpt_lab.results.row import FailReason, ResultRow
-from cvqmpt_lab.tasks.solve import solve_task
-from cvqmpt_lab.tasks.task import Task
-from cvqmpt_lab.trajectory.timing import TimingSettings
 
 Execute = Callable[[str, float], Execution]  # arguments: controller, contact time [s]
 

@@ -29,7 +29,7 @@ from cvqmpt_lab.base.errors import (
     whole_number,
 )
 from cvqmpt_lab.base.processes import end_with_parent, limit_memory, processor_time
-from cvqmpt_lab.results.row import FailReason
+from cvqmpt_lab.benchmarks.results.row import FailReason
 
 CONNECT_S = 10  # for a scheduler to answer [s]
 STOPPED = (

@@ -9,13 +9,13 @@ from typing import Any, NamedTuple
 
 from cvqmpt_lab.base.errors import InvalidInputError, located, require_choice, whole_number
 from cvqmpt_lab.benchmarks.declarations import SUITES
+from cvqmpt_lab.benchmarks.results.row import FailReason, ResultRow, RowKey, cell_text
 from cvqmpt_lab.benchmarks.suite import suite_named
 from cvqmpt_lab.benchmarks.suite_parts import Suite
 from cvqmpt_lab.experiments.executors import Limit
 from cvqmpt_lab.external.names import is_external
 from cvqmpt_lab.planning.planners import PLANNERS, planner_named, require_fit
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.results.row import FailReason, ResultRow, RowKey, cell_text
 from cvqmpt_lab.search.anytime import check_units
 from cvqmpt_lab.search.method import Method
 from cvqmpt_lab.search.result import Budget

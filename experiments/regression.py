@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 from cvqmpt_lab.base.errors import CvqmptError, InvalidInputError, require_kind, whole_number
 from cvqmpt_lab.base.files import read_json_object, write_text
 from cvqmpt_lab.base.values import scalar
+from cvqmpt_lab.benchmarks.results.provenance import provenance
 from cvqmpt_lab.benchmarks.suite import folder_suite, suite_named
 from cvqmpt_lab.experiments.experiment import Experiment
 from cvqmpt_lab.experiments.run import executor_for, result_row, run_experiment
@@ -24,7 +25,6 @@ from cvqmpt_lab.paper_tables.statements import PUBLISHED
 from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.planning.planners import planner_named
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.results.provenance import provenance
 from cvqmpt_lab.search.result import Budget
 
 EXPECTED = PUBLISHED.parent / "expected" / "place_task.json"

@@ -11,17 +11,17 @@ import numpy as np
 from cvqmpt_lab.base.errors import InvalidInputError, RunStoreError
 from cvqmpt_lab.benchmarks.declarations import SUITES
 from cvqmpt_lab.benchmarks.item import ExecutedProblem, SensedProblem
+from cvqmpt_lab.benchmarks.results.provenance import ProvenanceFile, digests_in
+from cvqmpt_lab.benchmarks.results.row import ResultRow
+from cvqmpt_lab.benchmarks.results.store import directory_rows, stored_paths
 from cvqmpt_lab.benchmarks.suite import folder_suite, suite_named
 from cvqmpt_lab.benchmarks.suite_parts import Suite
 from cvqmpt_lab.certificate.certificate import Certificate, certify
+from cvqmpt_lab.features.tasks.task import Task
+from cvqmpt_lab.features.tasks.world import phase_problems
 from cvqmpt_lab.paper_tables.claims import Evidence
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.results.provenance import ProvenanceFile, digests_in
-from cvqmpt_lab.results.row import ResultRow
-from cvqmpt_lab.results.store import directory_rows, stored_paths
 from cvqmpt_lab.search.result import JointPath
-from cvqmpt_lab.tasks.task import Task
-from cvqmpt_lab.tasks.world import phase_problems
 
 
 class Recertified(NamedTuple):
@@ -138,7 +138,7 @@ def _other_number(row: ResultRow, certificate: Certificate, rounding: float = 1e
 def first_path(found: Mapping[str, Evidence]) -> dict[str, dict[str, str]]:
     """Return a page of the first certified path of a problem, by name of the results directory."""
     # rendering takes a quarter of a second to import
-    from cvqmpt_lab.show.web_page import path_html
+    from cvqmpt_lab.features.pictures.web_page import path_html
 
     for evidence in found.values():
         paths = stored_paths(evidence.folder)

@@ -23,23 +23,29 @@ from cvqmpt_lab.benchmarks.item import (
     SuiteItem,
     UnsolvableProblem,
 )
+from cvqmpt_lab.benchmarks.results.provenance import provenance
+from cvqmpt_lab.benchmarks.results.row import (
+    ROW_COLUMNS,
+    FailReason,
+    ResultRow,
+    cell_text,
+    phase_problem,
+)
+from cvqmpt_lab.benchmarks.results.store import RunStore, states_hash
 from cvqmpt_lab.benchmarks.suite import suite_named
 from cvqmpt_lab.certificate.certificate import Clearance, FaultKind, certify
 from cvqmpt_lab.constraints.goals import Goals, goals_of
 from cvqmpt_lab.experiments.executors import Executor, Lost, dask_cluster, local_processes
 from cvqmpt_lab.experiments.experiment import Experiment, Run, externals_of, weights_of
 from cvqmpt_lab.external.door import external_planner
+from cvqmpt_lab.features.tasks.solve import PhaseOutcome, TaskSolution, solve_task
+from cvqmpt_lab.features.tasks.task import Task
 from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.planning.solution import Solution
 from cvqmpt_lab.planning.warm_up import compile_kernels
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.results.provenance import provenance
-from cvqmpt_lab.results.row import ROW_COLUMNS, FailReason, ResultRow, cell_text, phase_problem
-from cvqmpt_lab.results.store import RunStore, states_hash
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.space import ConstrainedSpace
-from cvqmpt_lab.tasks.solve import PhaseOutcome, TaskSolution, solve_task
-from cvqmpt_lab.tasks.task import Task
 from cvqmpt_lab.vqmpt.sampler_choice import SamplerChoice
 
 

@@ -10,6 +10,17 @@ from pathlib import Path
 from typing import Any
 
 from cvqmpt_lab.benchmarks.declarations import SUITES
+from cvqmpt_lab.benchmarks.results.provenance import PROVENANCE_FILE, ProvenanceFile, sessions
+from cvqmpt_lab.benchmarks.results.row import (
+    PAPER_PHASES,
+    RUNS_FILE,
+    FailReason,
+    ResultRow,
+    read_rows,
+    split_problem,
+    without_ended,
+)
+from cvqmpt_lab.benchmarks.results.statistics import Interval
 from cvqmpt_lab.paper_tables import rule
 from cvqmpt_lab.paper_tables.measures import (
     VALUES,
@@ -26,17 +37,6 @@ from cvqmpt_lab.paper_tables.rendering import published_of
 from cvqmpt_lab.paper_tables.rule import Effect, Word
 from cvqmpt_lab.paper_tables.statements import CBIRRT, CLAIMS, CVQ, IN_OMPL, OPT, Claim
 from cvqmpt_lab.paper_tables.writers import Lines, estimate
-from cvqmpt_lab.results.provenance import PROVENANCE_FILE, ProvenanceFile, sessions
-from cvqmpt_lab.results.row import (
-    PAPER_PHASES,
-    RUNS_FILE,
-    FailReason,
-    ResultRow,
-    read_rows,
-    split_problem,
-    without_ended,
-)
-from cvqmpt_lab.results.statistics import Interval
 
 # the cost of a run by the time that the network takes
 COSTS = {

@@ -10,6 +10,13 @@ from typing import Any
 
 from cvqmpt_lab.base.errors import CvqmptError, InvalidInputError, in_checkout
 from cvqmpt_lab.base.files import read_text
+from cvqmpt_lab.benchmarks.results.provenance import (
+    PROVENANCE_FILE,
+    ProvenanceFile,
+    digests_in,
+    sessions,
+)
+from cvqmpt_lab.benchmarks.results.row import RUNS_FILE, read_rows
 from cvqmpt_lab.paper_tables import pages
 from cvqmpt_lab.paper_tables.claims import Evidence, JudgedClaim
 from cvqmpt_lab.paper_tables.metadata import metadata_files
@@ -17,8 +24,6 @@ from cvqmpt_lab.paper_tables.quoted import Quoted, what_to_use
 from cvqmpt_lab.paper_tables.rendering import rendered_tables
 from cvqmpt_lab.paper_tables.statements import PUBLISHED
 from cvqmpt_lab.paper_tables.table_engine import by_planner
-from cvqmpt_lab.results.provenance import PROVENANCE_FILE, ProvenanceFile, digests_in, sessions
-from cvqmpt_lab.results.row import RUNS_FILE, read_rows
 
 RESULTS = PUBLISHED.parent / "results"
 README = PUBLISHED.parent.parent / "README.md"

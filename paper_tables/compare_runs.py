@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 from cvqmpt_lab.base.errors import InvalidInputError, UnknownChoiceError, require_choice
+from cvqmpt_lab.benchmarks.results.provenance import ProvenanceFile, unlike_settings
+from cvqmpt_lab.benchmarks.results.statistics import Interval
+from cvqmpt_lab.benchmarks.results.store import directory_rows
 from cvqmpt_lab.paper_tables.measures import VALUES, Rows, fraction, mean_ratio, paired, solved
 from cvqmpt_lab.paper_tables.table_engine import by_planner
 from cvqmpt_lab.paper_tables.writers import Lines, change, estimate
-from cvqmpt_lab.results.provenance import ProvenanceFile, unlike_settings
-from cvqmpt_lab.results.statistics import Interval
-from cvqmpt_lab.results.store import directory_rows
 
 COMPARED_VALUES = {
     "time": VALUES["time"],

@@ -6,6 +6,8 @@ from functools import partial
 from operator import attrgetter
 from typing import NamedTuple
 
+from cvqmpt_lab.benchmarks.results.row import ResultRow
+from cvqmpt_lab.benchmarks.results.statistics import Interval
 from cvqmpt_lab.paper_tables import table_engine as table
 from cvqmpt_lab.paper_tables.measures import (
     REFERENCE,
@@ -24,8 +26,6 @@ from cvqmpt_lab.paper_tables.measures import (
 from cvqmpt_lab.paper_tables.statements import PublishedValue
 from cvqmpt_lab.paper_tables.table_engine import Column, SuiteTable
 from cvqmpt_lab.paper_tables.writers import Ratio
-from cvqmpt_lab.results.row import ResultRow
-from cvqmpt_lab.results.statistics import Interval
 from cvqmpt_lab.vqmpt.sampler_choice import CHOICES, NAMED_SAMPLERS
 
 PREDICTORS = (  # in their order in the table

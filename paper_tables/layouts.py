@@ -4,6 +4,8 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from operator import attrgetter
 
+from cvqmpt_lab.benchmarks.results.row import FailReason, ResultRow, split_problem
+from cvqmpt_lab.benchmarks.results.statistics import Interval
 from cvqmpt_lab.paper_tables import table_engine as table
 from cvqmpt_lab.paper_tables.measures import (
     PUBLISHED_PRICES,
@@ -24,8 +26,6 @@ from cvqmpt_lab.paper_tables.measures import (
 from cvqmpt_lab.paper_tables.statements import PublishedValue
 from cvqmpt_lab.paper_tables.table_engine import Column, Entry, SuiteTable
 from cvqmpt_lab.paper_tables.writers import Lines, Ratio, Sections, number, rounded
-from cvqmpt_lab.results.row import FailReason, ResultRow, split_problem
-from cvqmpt_lab.results.statistics import Interval
 from cvqmpt_lab.vqmpt.config import BY_ROLLOUTS, ROLLOUTS_ALONE
 
 # ---------------------------------------------------------------- like the paper's Table I

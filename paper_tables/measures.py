@@ -13,8 +13,8 @@ from operator import attrgetter
 from statistics import fmean, median
 from typing import Literal, NamedTuple, TypeVar
 
-from cvqmpt_lab.results.row import ResultRow
-from cvqmpt_lab.results.statistics import (
+from cvqmpt_lab.benchmarks.results.row import ResultRow
+from cvqmpt_lab.benchmarks.results.statistics import (
     UNDEFINED,
     Interval,
     ProblemKey,

@@ -14,10 +14,10 @@ from typing import Any
 
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.base.files import json_text, read_bytes, read_text
+from cvqmpt_lab.benchmarks.results.provenance import sessions
 from cvqmpt_lab.paper_tables.claims import Evidence
 from cvqmpt_lab.paper_tables.pages import rendered
 from cvqmpt_lab.paper_tables.rendering import session_text, title_of
-from cvqmpt_lab.results.provenance import sessions
 
 Entity = dict[str, Any]  # of JSON-LD
 

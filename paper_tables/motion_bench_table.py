@@ -6,6 +6,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
+from cvqmpt_lab.benchmarks.results.row import FailReason, ResultRow, split_problem
 from cvqmpt_lab.paper_tables.layouts import GROUP_COLUMNS, RATIO_COLUMNS, group_table
 from cvqmpt_lab.paper_tables.measures import (
     REFERENCE,
@@ -19,7 +20,6 @@ from cvqmpt_lab.paper_tables.measures import (
 from cvqmpt_lab.paper_tables.statements import PublishedValue
 from cvqmpt_lab.paper_tables.table_engine import SuiteTable, rows_of_one_suite
 from cvqmpt_lab.paper_tables.writers import Lines, Ratio, Sections, estimate
-from cvqmpt_lab.results.row import FailReason, ResultRow, split_problem
 
 # there is no problem to solve; a planner had no part in it
 LEFT_OUT: Mapping[str, str] = {

@@ -9,6 +9,13 @@ from dataclasses import replace
 from functools import lru_cache, partial
 from typing import NamedTuple
 
+from cvqmpt_lab.benchmarks.results.row import (
+    PAPER_PHASES,
+    FailReason,
+    ResultRow,
+    sorted_rows,
+    split_problem,
+)
 from cvqmpt_lab.paper_tables import table_engine as table
 from cvqmpt_lab.paper_tables.measures import (
     Measure,
@@ -21,7 +28,6 @@ from cvqmpt_lab.paper_tables.measures import (
 from cvqmpt_lab.paper_tables.statements import CBIRRT, PublishedValue
 from cvqmpt_lab.paper_tables.table_engine import Column, Entry, SuiteTable
 from cvqmpt_lab.paper_tables.writers import Lines, number
-from cvqmpt_lab.results.row import PAPER_PHASES, FailReason, ResultRow, sorted_rows, split_problem
 
 # phases over which times are summed, by part of the task; None: all phases
 PHASES_OF_PART: Mapping[str, Collection[str] | None] = {"paper": PAPER_PHASES, "all": None}

@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import Any
 
 from cvqmpt_lab.base.errors import InvalidInputError
+from cvqmpt_lab.benchmarks.results.provenance import ProvenanceFile
+from cvqmpt_lab.benchmarks.results.row import FailReason, ResultRow
+from cvqmpt_lab.benchmarks.results.store import directory_rows
 from cvqmpt_lab.paper_tables.measures import grouped
 from cvqmpt_lab.paper_tables.table_engine import rows_of_one_suite
-from cvqmpt_lab.results.provenance import ProvenanceFile
-from cvqmpt_lab.results.row import FailReason, ResultRow
-from cvqmpt_lab.results.store import directory_rows
 
 
 def ompl_log(directory: Path) -> str:

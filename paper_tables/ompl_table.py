@@ -8,6 +8,14 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import partial
 
+from cvqmpt_lab.benchmarks.results.row import ResultRow
+from cvqmpt_lab.benchmarks.results.statistics import (
+    CONFIDENCE,
+    UNDEFINED,
+    Interval,
+    jointly_solved,
+    problem_key,
+)
 from cvqmpt_lab.paper_tables import table_engine as table
 from cvqmpt_lab.paper_tables.layouts import group_table
 from cvqmpt_lab.paper_tables.measures import (
@@ -27,14 +35,6 @@ from cvqmpt_lab.paper_tables.rule import FEWEST_PROBLEMS, ratio_of_means
 from cvqmpt_lab.paper_tables.statements import CBIRRT, IN_OMPL, UNIFORM, PublishedValue
 from cvqmpt_lab.paper_tables.table_engine import Column, SuiteTable
 from cvqmpt_lab.paper_tables.writers import Ratio
-from cvqmpt_lab.results.row import ResultRow
-from cvqmpt_lab.results.statistics import (
-    CONFIDENCE,
-    UNDEFINED,
-    Interval,
-    jointly_solved,
-    problem_key,
-)
 
 PAPER_CUTOFF_S = 100.0
 

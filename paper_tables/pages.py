@@ -18,6 +18,8 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.benchmarks.declarations import SUITES
+from cvqmpt_lab.benchmarks.results.provenance import PROVENANCE_FILE, digests_in, sessions
+from cvqmpt_lab.benchmarks.results.row import ResultRow
 from cvqmpt_lab.paper_tables.claims import (
     Comparison,
     Evidence,
@@ -46,8 +48,6 @@ from cvqmpt_lab.paper_tables.statements import CLAIMS, PUBLISHED, READING
 from cvqmpt_lab.paper_tables.table_engine import by_planner
 from cvqmpt_lab.paper_tables.trainings import all_directories, training_lines
 from cvqmpt_lab.paper_tables.writers import BOLD, Lines, Ratio, estimate, markdown_table
-from cvqmpt_lab.results.provenance import PROVENANCE_FILE, digests_in, sessions
-from cvqmpt_lab.results.row import ResultRow
 
 PAGE = PUBLISHED.parent / "README.md"
 PAPER_TABLES = {  # titles of the paper's tables on the page of claims, by results directory

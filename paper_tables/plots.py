@@ -13,6 +13,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
+from cvqmpt_lab.benchmarks.results.row import ResultRow
+from cvqmpt_lab.benchmarks.results.statistics import Interval, ProblemKey, problem_key
 from cvqmpt_lab.paper_tables.claims import JudgedClaim
 from cvqmpt_lab.paper_tables.measures import (
     PUBLISHED_PRICES,
@@ -23,8 +25,6 @@ from cvqmpt_lab.paper_tables.measures import (
     time_at,
 )
 from cvqmpt_lab.paper_tables.rule import Word
-from cvqmpt_lab.results.row import ResultRow
-from cvqmpt_lab.results.statistics import Interval, ProblemKey, problem_key
 
 Groups = Mapping[str, Sequence[ResultRow]]  # rows by planner
 STYLE: Any = {

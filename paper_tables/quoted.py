@@ -3,6 +3,8 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from cvqmpt_lab.benchmarks.results.row import split_problem
+from cvqmpt_lab.benchmarks.results.statistics import Interval
 from cvqmpt_lab.paper_tables.claims import Evidence
 from cvqmpt_lab.paper_tables.factorial_table import CONTRASTS
 from cvqmpt_lab.paper_tables.measures import (
@@ -19,8 +21,6 @@ from cvqmpt_lab.paper_tables.motion_bench_table import LEFT_OUT
 from cvqmpt_lab.paper_tables.ompl_table import PAPER_CUTOFF_S, means_ratio
 from cvqmpt_lab.paper_tables.table_engine import suite_runs
 from cvqmpt_lab.paper_tables.writers import estimate, number
-from cvqmpt_lab.results.row import split_problem
-from cvqmpt_lab.results.statistics import Interval
 
 
 @dataclass(frozen=True)

@@ -7,13 +7,13 @@ from typing import Any, NamedTuple
 
 from cvqmpt_lab.base.files import write_text
 from cvqmpt_lab.benchmarks.declarations import SUITES
+from cvqmpt_lab.benchmarks.results.provenance import ProvenanceFile, digests_in, sessions
+from cvqmpt_lab.benchmarks.results.row import RUNS_FILE, ResultRow
+from cvqmpt_lab.benchmarks.results.store import directory_rows, ended_note
 from cvqmpt_lab.paper_tables.layouts import place_table
 from cvqmpt_lab.paper_tables.statements import PublishedValue, read_published
 from cvqmpt_lab.paper_tables.table_engine import SuiteTable, rows_of_one_suite
 from cvqmpt_lab.paper_tables.writers import markdown, markdown_text
-from cvqmpt_lab.results.provenance import ProvenanceFile, digests_in, sessions
-from cvqmpt_lab.results.row import RUNS_FILE, ResultRow
-from cvqmpt_lab.results.store import directory_rows, ended_note
 
 
 def title_of(suite: str) -> str:

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cvqmpt_lab.base.errors import InvalidInputError
-from cvqmpt_lab.results.statistics import Interval, student_interval
+from cvqmpt_lab.benchmarks.results.statistics import Interval, student_interval
 
 LEVEL = 0.05  # limit of the probability that any sentence is wrongly *replicated*
 SHARE_MARGIN = 0.05  # difference of solved shares that counts as none

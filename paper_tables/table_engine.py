@@ -9,6 +9,8 @@ from typing import Literal
 
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.base.files import csv_table
+from cvqmpt_lab.benchmarks.results.row import FailReason, ResultRow, sorted_rows, split_problem
+from cvqmpt_lab.benchmarks.results.statistics import Interval, jointly_solved
 from cvqmpt_lab.paper_tables import writers
 from cvqmpt_lab.paper_tables.measures import (
     REFERENCE,
@@ -31,8 +33,6 @@ from cvqmpt_lab.paper_tables.writers import (
     side_by_side,
     text_lines,
 )
-from cvqmpt_lab.results.row import FailReason, ResultRow, sorted_rows, split_problem
-from cvqmpt_lab.results.statistics import Interval, jointly_solved
 
 
 @dataclass(frozen=True)

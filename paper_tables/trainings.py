@@ -8,10 +8,10 @@ from collections.abc import Mapping
 from dataclasses import replace
 from itertools import product
 
+from cvqmpt_lab.benchmarks.results.statistics import CONFIDENCE, Interval
 from cvqmpt_lab.paper_tables.claims import Evidence, comparisons
 from cvqmpt_lab.paper_tables.statements import CBIRRT, CVQ, OPT, UNIFORM, Claim
 from cvqmpt_lab.paper_tables.writers import Lines, estimate
-from cvqmpt_lab.results.statistics import CONFIDENCE, Interval
 
 SEEDS = (0, 1, 2)  # of the trainings; the first is that of the shipped transformer
 SUITES = {  # results directories of the main comparisons, and their problems in words

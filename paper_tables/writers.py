@@ -4,7 +4,7 @@ import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-from cvqmpt_lab.results.statistics import CONFIDENCE, Interval
+from cvqmpt_lab.benchmarks.results.statistics import CONFIDENCE, Interval
 
 _LATEX_ESCAPES = {
     "\\": r"\textbackslash{}",

@@ -19,6 +19,8 @@ from cvqmpt_lab.benchmarks.place_task import (
     place_kitchen,
     place_problem,
 )
+from cvqmpt_lab.features.scan.depth import write_view
+from cvqmpt_lab.features.tasks.solve import solve_task
 from cvqmpt_lab.planning.pipeline import solve, with_drawn_goals
 from cvqmpt_lab.robot.load import load_robot, robot_from_source
 from cvqmpt_lab.scene.cloud_files import write_cloud
@@ -26,9 +28,7 @@ from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.scene.shapes import Box
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.sensing.camera import Camera, Intrinsics, look_at, view_of
-from cvqmpt_lab.sensing.depth import write_view
 from cvqmpt_lab.sensing.observation import arm_objects, solids_of
-from cvqmpt_lab.tasks.solve import solve_task
 
 pytest_plugins = ["promises"]
 

@@ -13,9 +13,9 @@ from PIL import Image
 
 import cvqmpt_lab
 from cvqmpt_lab.cli.main import COMMANDS, examples_of, main, parser_with
-from cvqmpt_lab.show.bodies import BODY_COLOURS
-from cvqmpt_lab.trajectory.timing import time_path
-from cvqmpt_lab.trajectory.trajectory import read_motion, save_trajectory
+from cvqmpt_lab.features.motion.timing import time_path
+from cvqmpt_lab.features.motion.trajectory import read_motion, save_trajectory
+from cvqmpt_lab.features.pictures.bodies import BODY_COLOURS
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = sorted((ROOT / "notebooks" / "examples").glob("*.py"))

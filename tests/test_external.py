@@ -9,15 +9,15 @@ from command_line import run_here
 from refusals import refused
 
 from cvqmpt_lab.benchmarks.place_task import single_goal_problem
+from cvqmpt_lab.benchmarks.results.provenance import ProvenanceFile
+from cvqmpt_lab.benchmarks.results.row import FailReason
+from cvqmpt_lab.benchmarks.results.store import states_hash
 from cvqmpt_lab.experiments.experiment import Experiment
 from cvqmpt_lab.experiments.run import executor_for, run_experiment
 from cvqmpt_lab.external import door, names
 from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.planning.planners import planner_named
 from cvqmpt_lab.planning.warm_up import compile_kernels
-from cvqmpt_lab.results.provenance import ProvenanceFile
-from cvqmpt_lab.results.row import FailReason
-from cvqmpt_lab.results.store import states_hash
 from cvqmpt_lab.search.result import Budget, PlanStatus
 
 PLANNERS = """

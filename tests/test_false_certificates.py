@@ -7,12 +7,12 @@ import pytest
 from small_arms import beside_a_half_turn, carried, gantry, pendulum, problem_of, turned
 
 from cvqmpt_lab.certificate.certificate import Verdict, certify
-from cvqmpt_lab.certificate.motion_check import dry_run
-from cvqmpt_lab.certificate.record import record, report_lines
+from cvqmpt_lab.features.motion.motion_check import dry_run
+from cvqmpt_lab.features.motion.record import record, report_lines
+from cvqmpt_lab.features.motion.trajectory import Motion
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.search.result import JointPath
 from cvqmpt_lab.search.space import ConstrainedSpace
-from cvqmpt_lab.trajectory.trajectory import Motion
 
 
 def straight(start, end, step=0.1):

@@ -13,6 +13,7 @@ from cvqmpt_lab.certificate.certificate import certify
 from cvqmpt_lab.cli.problem_options import MARGIN
 from cvqmpt_lab.constraints.goals import goals_of
 from cvqmpt_lab.constraints.report import displacements, excess
+from cvqmpt_lab.features.tasks.solve import solve_task
 from cvqmpt_lab.planning.margins import (
     NO_MARGIN,
     Kept,
@@ -26,7 +27,6 @@ from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Sphere
 from cvqmpt_lab.search.result import Budget, JointPath
-from cvqmpt_lab.tasks.solve import solve_task
 
 
 @pytest.fixture(scope="module")

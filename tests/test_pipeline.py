@@ -15,6 +15,7 @@ from cvqmpt_lab.benchmarks.more_constraints import more_constraints_problem
 from cvqmpt_lab.benchmarks.place_task import place_problem
 from cvqmpt_lab.certificate.certificate import certify
 from cvqmpt_lab.collision.exact import CollisionChecker
+from cvqmpt_lab.features.tasks.solve import solve_task
 from cvqmpt_lab.planning.pipeline import NEAR_GOAL_COUNT, solve, solve_many, with_drawn_goals
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import robot_from_source
@@ -26,7 +27,6 @@ from cvqmpt_lab.search.planner_interface import GaussianMixture, Uniform
 from cvqmpt_lab.search.result import Budget, JointPath, PlanStatus
 from cvqmpt_lab.search.space import ConstrainedSpace
 from cvqmpt_lab.search.work import PRICES
-from cvqmpt_lab.tasks.solve import solve_task
 
 ENOUGH = Budget(iterations=20_000)
 

@@ -98,7 +98,7 @@ def _place_suites() -> list[Suite]:
             planners=(*PlannerGroups.tuned, "cvq-wide", "roadmap"),
             amounts=(Amount(),),
         ),
-        # the last five planners are entry points of `cvqmpt_lab.experiments.peers`, with an extra
+        # the last five planners are entry points of `cvqmpt_lab.features.peers`, with an extra
         Suite(
             name="peers",
             title="Planners of others, place task with a single goal",

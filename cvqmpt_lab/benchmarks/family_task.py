@@ -22,6 +22,7 @@ from cvqmpt_lab.benchmarks.place_task import (
     handle_region,
     place_problem,
 )
+from cvqmpt_lab.benchmarks.results.row import phase_problem
 from cvqmpt_lab.constraints.goals import (
     SAMPLE_MARGIN_M,
     goals_in_any_posture,
@@ -31,7 +32,6 @@ from cvqmpt_lab.constraints.goals import (
 from cvqmpt_lab.constraints.named import line, plane
 from cvqmpt_lab.constraints.task_space_region import FREE, TaskSpaceRegion, upright_box
 from cvqmpt_lab.problem import PlanningProblem, shared_checker
-from cvqmpt_lab.results.row import phase_problem
 from cvqmpt_lab.robot.load import panda, robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Attachment, Scene

@@ -3,10 +3,10 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from cvqmpt_lab.benchmarks.results.row import FailReason
+from cvqmpt_lab.features.tasks.task import Task
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.results.row import FailReason
 from cvqmpt_lab.scene.scene import Scene
-from cvqmpt_lab.tasks.task import Task
 
 
 @dataclass(frozen=True)

@@ -31,12 +31,12 @@ from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.base.files import locked, make_folder, read_bytes, write_bytes, yaml_value
 from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.benchmarks.item import UnsolvableProblem
+from cvqmpt_lab.benchmarks.results.row import FailReason, phase_problem
 from cvqmpt_lab.constraints.goals import SAMPLE_MARGIN_M, sample_region
 from cvqmpt_lab.constraints.named import upper_axis
 from cvqmpt_lab.constraints.region_constraint import RegionConstraint
 from cvqmpt_lab.constraints.task_space_region import FREE, symmetric_region, upright
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.results.row import FailReason, phase_problem
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.moveit_scenes import scene_of_yaml

@@ -12,9 +12,9 @@ import numpy as np
 from cvqmpt_lab.base.poses import pose, rigid
 from cvqmpt_lab.benchmarks.item import UnsolvableProblem
 from cvqmpt_lab.benchmarks.place_task import problem_between
+from cvqmpt_lab.benchmarks.results.row import phase_problem
 from cvqmpt_lab.constraints.task_space_region import UPRIGHT_ROTATION, TaskSpaceRegion, upright_box
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.results.row import phase_problem
 from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, Cylinder
 

@@ -17,15 +17,15 @@ from cvqmpt_lab.benchmarks.families import family_scene
 from cvqmpt_lab.benchmarks.family_task import upright_problem
 from cvqmpt_lab.benchmarks.item import SensedProblem, UnsolvableProblem
 from cvqmpt_lab.benchmarks.place_task import CAN, COUNTER_OBJECTS, place_kitchen
+from cvqmpt_lab.benchmarks.results.row import FailReason
+from cvqmpt_lab.features.scan.depth import read_capture, write_view
+from cvqmpt_lab.features.scan.scan import Arm, MapSettings, ScanSettings, occupancy_map, scan
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.results.row import FailReason
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.sensing.camera import KINECT, Camera, DepthNoise, look_at
 from cvqmpt_lab.sensing.crop import Crop
-from cvqmpt_lab.sensing.depth import read_capture, write_view
 from cvqmpt_lab.sensing.observation import CameraSettings, arm_objects, views_of
-from cvqmpt_lab.sensing.scan import Arm, MapSettings, ScanSettings, occupancy_map, scan
 
 
 def scanned_scene(

@@ -8,9 +8,9 @@ from typing import Any
 from cvqmpt_lab.base.errors import InvalidInputError, require_choice
 from cvqmpt_lab.base.files import read_json_object
 from cvqmpt_lab.benchmarks.declarations import SUITES
+from cvqmpt_lab.benchmarks.results.row import cell_text, natural_key
 from cvqmpt_lab.benchmarks.suite_parts import Suite
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.results.row import cell_text, natural_key
 from cvqmpt_lab.robot.source import content_digest
 from cvqmpt_lab.scene.scene_files import named_files
 

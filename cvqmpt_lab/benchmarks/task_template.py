@@ -14,12 +14,12 @@ from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.goals import SAMPLE_MARGIN_M, first_guesses, sample_region, solve_poses
 from cvqmpt_lab.constraints.no_goal import hand_reach
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
+from cvqmpt_lab.features.motion.timing import TimingSettings
+from cvqmpt_lab.features.tasks.solve import solve_task
+from cvqmpt_lab.features.tasks.task import Move, Slide, Task, Turn
 from cvqmpt_lab.planning.margins import Margin
 from cvqmpt_lab.robot.robot import SLOW_SPEED
 from cvqmpt_lab.search.result import Budget
-from cvqmpt_lab.tasks.solve import solve_task
-from cvqmpt_lab.tasks.task import Move, Slide, Task, Turn
-from cvqmpt_lab.trajectory.timing import TimingSettings
 
 Furniture = Literal["drawer", "door"]
 TASK_COMMENTS = {  # comments of the template: possible values of fields of a task file

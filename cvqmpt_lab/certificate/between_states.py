@@ -5,12 +5,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cvqmpt_lab.base.polyline import numbered_parts, parts_within, states_between
 from cvqmpt_lab.base.values import frozen
 from cvqmpt_lab.constraints.bounds_between import ROTATION_RATE, bound_between, longest_lever
 from cvqmpt_lab.constraints.constraint import Constraint
 from cvqmpt_lab.constraints.report import displaced, excess
 from cvqmpt_lab.constraints.task_space_region import UNITS, TaskSpaceRegion
-from cvqmpt_lab.geometry.polyline import numbered_parts, parts_within, states_between
 from cvqmpt_lab.robot.joint_frames import poses_at_once
 from cvqmpt_lab.robot.robot import Robot
 

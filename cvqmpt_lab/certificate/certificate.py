@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cvqmpt_lab.base.polyline import nearest_places, step_lengths
 from cvqmpt_lab.base.values import bound_text
 from cvqmpt_lab.certificate.between_states import (
     function_violation,
@@ -20,7 +21,6 @@ from cvqmpt_lab.collision.carried import reach_with
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.bounds_between import longest_lever
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegionChain
-from cvqmpt_lab.geometry.polyline import nearest_places, step_lengths
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.search.result import JointPath
 

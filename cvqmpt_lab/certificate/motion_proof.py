@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cvqmpt_lab.base.polyline import Polyline
 from cvqmpt_lab.collision.exact import (
     COAL_ROUNDING_M,
     Cleared,
@@ -24,7 +25,6 @@ from cvqmpt_lab.collision.exact import (
     CollisionChecker,
     Nearest,
 )
-from cvqmpt_lab.geometry.polyline import Polyline
 
 
 class Unproven(NamedTuple):

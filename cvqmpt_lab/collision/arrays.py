@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from cvqmpt_lab.base import convex
 from cvqmpt_lab.base.caches import cached_arrays, sources_digest
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.base.jit import KERNELS_DIGEST
@@ -25,7 +26,6 @@ from cvqmpt_lab.collision.geometry import (
     scene_geometry,
 )
 from cvqmpt_lab.collision.separation import BOX, CYLINDER, HULL, SPHERE, ConvexShapes
-from cvqmpt_lab.geometry import convex
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.cells import blocks_of
 from cvqmpt_lab.scene.scene import Attachment, Scene

@@ -9,8 +9,8 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
+from cvqmpt_lab.base.convex import convex_hull, halves
 from cvqmpt_lab.base.jit import entry
-from cvqmpt_lab.geometry.convex import convex_hull, halves
 
 PIECE_RADIUS_M = 0.095  # of the largest ball around a piece: smaller than GRID_REACH_M
 # added to the radius of every ball: more than `convex_hull` loses of flat sets, and than rounding

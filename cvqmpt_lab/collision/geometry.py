@@ -10,6 +10,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
+from cvqmpt_lab.base.convex import box_corners, convex_hull, prism_around
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.collision.covers import (
     Cloud,
@@ -34,7 +35,6 @@ from cvqmpt_lab.collision.separation import (
     SPHERE,
     ConvexShapes,
 )
-from cvqmpt_lab.geometry.convex import box_corners, convex_hull, prism_around
 
 
 class ShapeSpec(NamedTuple):

@@ -11,10 +11,10 @@ import numpy as np
 
 from cvqmpt_lab.base.errors import CvqmptError, InvalidInputError
 from cvqmpt_lab.base.modules import described
+from cvqmpt_lab.base.polyline import step_lengths
 from cvqmpt_lab.base.values import frozen
 from cvqmpt_lab.constraints.constraint import Constraint, Evaluated
 from cvqmpt_lab.constraints.regions import FunctionRows
-from cvqmpt_lab.geometry.polyline import step_lengths
 
 Bound = float | Callable[[np.ndarray, np.ndarray], float]
 

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 
 from cvqmpt_lab.base.errors import InvalidInputError, one_line
+from cvqmpt_lab.base.polyline import cut, parts_within
 from cvqmpt_lab.external.names import distribution_of, entry_points
 from cvqmpt_lab.external.process import NoReply, PlannerProcess
-from cvqmpt_lab.geometry.polyline import cut, parts_within
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.search.planner_interface import (

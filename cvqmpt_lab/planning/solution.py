@@ -1,6 +1,6 @@
 """The solution of a planning problem, its report for people, and its data for json."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -208,28 +208,18 @@ def _distances(certificate: Certificate, small: float = 0.002) -> str:
 
 
 def solution_data(
-    solution: Solution, planner: str, why: str = "", given: PlanningProblem | None = None
+    solution: Solution, planner: str, certificate: Mapping[str, Any] | None, why: str = ""
 ) -> dict[str, Any]:
     """Return a solution as plain data for json, with states and certificate.
 
     Args:
         solution: the solution.
         planner: name of the planner.
+        certificate: record of the certificate, see `features.motion.record.record_of`.
         why: the reason if the planner was chosen by default.
-        given: the problem of the user, for the record of the certificate; None: the solution's.
     """
     plan, shorter = solution.plan, solution.simplified
     problem, more = solution.problem, solution.improvement
-    certificate = None
-    if shorter is not None and solution.certificate is not None:
-        # these need scipy.interpolate, which takes half a second to import
-        from cvqmpt_lab.certificate.motion_check import DryRun
-        from cvqmpt_lab.certificate.record import record
-        from cvqmpt_lab.trajectory.trajectory import Motion
-
-        given, states = given or problem, shorter.path.states
-        motion = Motion(given.robot.joint_names, states)
-        certificate = record(given, motion, DryRun(solution.certificate, states))
     return {
         "problem": problem.name,
         "robot": problem.robot.name,

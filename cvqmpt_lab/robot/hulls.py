@@ -16,15 +16,15 @@ import numpy as np
 import pinocchio as pin
 
 from cvqmpt_lab.base.caches import cached_arrays, sources_digest
-from cvqmpt_lab.base.errors import InvalidInputError
-from cvqmpt_lab.base.files import read_xml
-from cvqmpt_lab.geometry.convex import (
+from cvqmpt_lab.base.convex import (
     box_corners,
     polytope_around_ball,
     prism_around,
     require_near,
     require_volume,
 )
+from cvqmpt_lab.base.errors import InvalidInputError
+from cvqmpt_lab.base.files import read_xml
 from cvqmpt_lab.robot.kinematics import Kinematics, link_poses
 from cvqmpt_lab.robot.robot import LeftOut, LinkGeometry, in_link
 from cvqmpt_lab.robot.urdf import Urdf

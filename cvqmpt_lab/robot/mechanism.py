@@ -13,10 +13,10 @@ import numpy as np
 import pinocchio as pin
 
 from cvqmpt_lab.base.codec import Checked, to_plain
+from cvqmpt_lab.base.convex import require_volume
 from cvqmpt_lab.base.errors import InvalidInputError, require_choice, unique
 from cvqmpt_lab.base.poses import Pose
 from cvqmpt_lab.base.values import Array, FloatArray, Length, Name
-from cvqmpt_lab.geometry.convex import require_volume
 from cvqmpt_lab.robot.hulls import coal_hull, link_geometry
 from cvqmpt_lab.robot.robot import LeftOut, Robot, axis_frames, kinematics_arrays
 

@@ -3,22 +3,21 @@
 Counts in a header are compared with the size of the file before memory of that size is used.
 """
 
-import contextlib
 import io
 import math
 import re
 import warnings
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import lzf
 import numpy as np
 
-from cvqmpt_lab.base.errors import CvqmptError, InvalidInputError, require_choice, shown
-from cvqmpt_lab.base.files import read_bytes, write_bytes
+from cvqmpt_lab.base.errors import InvalidInputError, shown
+from cvqmpt_lab.base.files import write_bytes
+from cvqmpt_lab.base.readers import kind_of, read_by_suffix
 from cvqmpt_lab.base.values import FloatArray
 
 
@@ -78,55 +77,6 @@ def write_cloud(path: Path | str, points: FloatArray) -> None:
     else:
         np.save(stream, points)
     write_bytes(Path(path), stream.getvalue())
-
-
-def read_by_suffix(
-    readers: Mapping[str, Callable[..., Any]],
-    path: Path | str,
-    what: str,
-    *more: Any,
-    most: int = 2**31,
-) -> Any:
-    """Return the result of the reader for a file's suffix; errors are one line with the file.
-
-    Args:
-        readers: functions of the file's bytes, by suffix in small letters.
-        path: path of a regular file.
-        what: noun for the file in errors.
-        more: arguments of the reader after the bytes.
-        most: largest size of the file [bytes].
-
-    Raises:
-        InvalidInputError: the file cannot be read.
-        UnknownChoiceError: no reader has this suffix.
-    """
-    path = Path(path)
-    reader = readers[kind_of(path, readers, what)]
-    if path.is_file() and path.stat().st_size > most:
-        raise InvalidInputError(
-            f"cannot read {what} {path}: more than {most} bytes; make it smaller"
-        )
-    data = read_bytes(path, what)
-    with parsing(path, what), np.errstate(over="ignore", invalid="ignore"):
-        return reader(data, *more)
-
-
-def kind_of(path: Path | str, kinds: Collection[str], what: str) -> str:
-    """Return the suffix of a file in small letters; UnknownChoiceError if it is not in `kinds`."""
-    path = Path(path)
-    return require_choice(f"kind of {what} {path.name}: suffix", path.suffix.lower(), kinds)
-
-
-@contextlib.contextmanager
-def parsing(path: Path, what: str) -> Iterator[None]:
-    """Convert every error of a parser inside the block to an InvalidInputError with the file."""
-    try:
-        yield
-    except Exception as error:  # parsers of other packages raise all kinds of errors
-        said = " ".join(str(error).split()) or type(error).__name__
-        if not isinstance(error, CvqmptError):  # own messages end with the cure
-            said = said[:200]
-        raise InvalidInputError(f"{what} {path} cannot be parsed: {said}") from error
 
 
 def check_lengths(

@@ -19,9 +19,7 @@ import trimesh
 from scipy import ndimage
 from scipy.spatial import ConvexHull
 
-from cvqmpt_lab.base.errors import InvalidInputError, shown
-from cvqmpt_lab.base.values import FloatArray
-from cvqmpt_lab.geometry.convex import (
+from cvqmpt_lab.base.convex import (
     box_corners,
     few_vertices_around,
     hull_volume,
@@ -30,8 +28,11 @@ from cvqmpt_lab.geometry.convex import (
     require_volume,
     thickness,
 )
+from cvqmpt_lab.base.errors import InvalidInputError, shown
+from cvqmpt_lab.base.readers import parsing, read_by_suffix
+from cvqmpt_lab.base.values import FloatArray
 from cvqmpt_lab.robot.urdf_bodies import collada_unit
-from cvqmpt_lab.scene.cloud_files import check_lengths, parsing, read_by_suffix
+from cvqmpt_lab.scene.cloud_files import check_lengths
 from cvqmpt_lab.scene.shapes import MIN_THICKNESS_M
 
 MAX_TRIANGLES = 200_000  # largest number of triangles of a file

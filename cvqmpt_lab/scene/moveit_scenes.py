@@ -16,8 +16,6 @@ from cvqmpt_lab.base.codec import from_plain
 from cvqmpt_lab.base.errors import (
     InvalidInputError,
     UnknownChoiceError,
-    at,
-    known_fields,
     located,
     mapping,
     require_choice,
@@ -25,9 +23,9 @@ from cvqmpt_lab.base.errors import (
 )
 from cvqmpt_lab.base.files import yaml_value
 from cvqmpt_lab.base.poses import Placement, ros_vector
+from cvqmpt_lab.base.readers import field_of, known_fields, listed, read_by_suffix
 from cvqmpt_lab.base.values import FloatArray, numbers, scalar
 from cvqmpt_lab.robot.source import mesh_path
-from cvqmpt_lab.scene.cloud_files import read_by_suffix
 from cvqmpt_lab.scene.mesh_files import MAX_TRIANGLES, convex_pieces, read_mesh
 from cvqmpt_lab.scene.scene import Scene, SceneObject, log
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, Shape, Sphere
@@ -377,15 +375,3 @@ def read_pose(value: Any) -> FloatArray:
     fields = known_fields(value, "pose", ("position", "orientation"))
     turn = fields.get("orientation", [0, 0, 0, 1])
     return _matrix(ros_vector(fields.get("position")), ros_vector(turn))
-
-
-def listed(value: Any, what: str) -> Sequence[Any]:
-    """Return a list, empty for None; refuse any other value."""
-    if value is not None and not isinstance(value, list):
-        raise InvalidInputError(f"{at('', what)} is {shown(value)}; it must be a list")
-    return value or []
-
-
-def field_of(value: Any, name: str) -> Any:
-    """Return a field of a mapping, or None."""
-    return value.get(name) if isinstance(value, Mapping) else None

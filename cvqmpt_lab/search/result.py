@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from cvqmpt_lab.base.errors import InvalidInputError, require_kind, shown, whole_number
-from cvqmpt_lab.geometry.polyline import evenly_along, step_lengths
+from cvqmpt_lab.base.polyline import evenly_along, step_lengths
 from cvqmpt_lab.search.work import PRICES, Prices, search_work
 
 

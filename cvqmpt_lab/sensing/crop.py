@@ -1,9 +1,11 @@
-"""The region of a scene whose points stay in a cloud; needs numpy alone, so training can use it."""
+"""The region whose points stay in a cloud, and means of points in cells; numpy alone."""
 
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+
+from cvqmpt_lab.base.errors import InvalidInputError
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,3 +34,32 @@ class Crop:
         return np.logical_and.reduce(
             [(axis >= lower) & (axis <= upper) for axis, lower, upper in spans]
         )
+
+
+def voxel_means(points: np.ndarray, voxel: float) -> np.ndarray:
+    """Return means (m, 3) of the points (p, 3) in each cell of a grid with edges of `voxel` [m].
+
+    The grid starts half a voxel below the least coordinates.
+    InvalidInputError: the voxel is so small that the cells cannot be numbered.
+    """
+    if len(points) == 0:
+        return points
+    columns = np.ascontiguousarray(points.T)
+    places = [(axis - axis.min()) / voxel + 0.5 for axis in columns]
+    across = [np.floor(place.max()) + 1.0 for place in places]
+    cells = float(np.prod(across))
+    if not cells < 2**62:
+        raise InvalidInputError(
+            f"voxel of {voxel:g} m is too small for a cloud that is "
+            f"{np.ptp(points, axis=0).max():.3g} m long; give a larger one, or crop the cloud"
+        )
+    x, y, z = (place.astype(np.int64) for place in places)
+    cell = (x * int(across[1]) + y) * int(across[2]) + z
+    # with few cells, counting without sorting is faster
+    if cells <= 8 * len(points):
+        count = np.bincount(cell)
+    else:
+        _, cell, count = np.unique(cell, return_inverse=True, return_counts=True)
+    taken = count > 0
+    sums = [np.bincount(cell, weights=axis)[taken] for axis in columns]
+    return np.stack(sums, axis=1) / count[taken, None]

@@ -33,8 +33,7 @@ from cvqmpt_lab.sensing.camera import (
     measured,
     view_of,
 )
-from cvqmpt_lab.sensing.crop import Crop
-from cvqmpt_lab.sensing.scan import voxel_means
+from cvqmpt_lab.sensing.crop import Crop, voxel_means
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -17,7 +17,7 @@ from cvqmpt_lab.base.codec import to_plain
 from cvqmpt_lab.base.errors import InvalidInputError, require_choice, whole_number
 from cvqmpt_lab.base.files import locked, make_folder, read_json_object, write_bytes, write_text
 from cvqmpt_lab.benchmarks.families import FAMILIES, family_scene
-from cvqmpt_lab.results.provenance import provenance
+from cvqmpt_lab.benchmarks.results.provenance import provenance
 from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.robot import Robot

@@ -12,7 +12,11 @@ from cvqmpt_lab.training.dataset import PathDataset, open_dataset
 from cvqmpt_lab.training.dictionary_stage import DictionaryStage, Stage1Settings
 from cvqmpt_lab.training.mpnet_stage import MPNetSettings, MPNetStage
 from cvqmpt_lab.training.sequence_dataset import open_labels, open_sequences
-from cvqmpt_lab.training.sequence_networks import PublishedSizes, PublishedStage, TransformerStage
+from cvqmpt_lab.training.sequence_networks import (
+    PublishedSizes,
+    PublishedStage,
+    TransformerStage,
+)
 from cvqmpt_lab.training.sequence_stage import RoadmapSettings
 from cvqmpt_lab.training.stage import Stage
 from cvqmpt_lab.vqmpt import config as sizes

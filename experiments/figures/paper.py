@@ -16,6 +16,7 @@ from matplotlib.ticker import LogLocator, NullFormatter
 
 from cvqmpt_lab.base.errors import RunStoreError
 from cvqmpt_lab.base.files import csv_table, make_folder, write_bytes
+from cvqmpt_lab.benchmarks.results.provenance import PROVENANCE_FILE, ProvenanceFile, provenance
 from cvqmpt_lab.benchmarks.suite import suite_named
 from cvqmpt_lab.experiments.figures.code_update import (
     WHEN,
@@ -27,12 +28,11 @@ from cvqmpt_lab.experiments.figures.code_update import (
     squared_residual,
     update_codes,
 )
+from cvqmpt_lab.features.pictures.picture import still_image
+from cvqmpt_lab.features.pictures.raster import Viewpoint
 from cvqmpt_lab.paper_tables.plots import figure_bytes
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.results.provenance import PROVENANCE_FILE, ProvenanceFile, provenance
 from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.show.picture import still_image
-from cvqmpt_lab.show.raster import Viewpoint
 from cvqmpt_lab.vqmpt.weights import VQ_MPT, resolve_model, weights_digest
 
 FIGURES = ("histogram", "concept")

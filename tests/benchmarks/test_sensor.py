@@ -7,11 +7,11 @@ import pytest
 
 from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.benchmarks.item import SensedProblem, UnsolvableProblem
+from cvqmpt_lab.benchmarks.results.row import FailReason
 from cvqmpt_lab.benchmarks.sensor_task import scanned_scene, sensor_problem
 from cvqmpt_lab.benchmarks.suite import suite_named
 from cvqmpt_lab.experiments.experiment import Experiment
 from cvqmpt_lab.experiments.run import outcome_of
-from cvqmpt_lab.results.row import FailReason
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Sphere
 from cvqmpt_lab.search.result import Budget

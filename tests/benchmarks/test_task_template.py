@@ -11,12 +11,12 @@ from refusals import refused
 from cvqmpt_lab.benchmarks.hold_handle import hold_of
 from cvqmpt_lab.benchmarks.task_template import task_template
 from cvqmpt_lab.benchmarks.templates import with_limits
+from cvqmpt_lab.features.tasks.solve import solve_task
+from cvqmpt_lab.features.tasks.task import Slide, Task
+from cvqmpt_lab.features.tasks.world import World
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.source import ARMS
 from cvqmpt_lab.search.result import Budget
-from cvqmpt_lab.tasks.solve import solve_task
-from cvqmpt_lab.tasks.task import Slide, Task
-from cvqmpt_lab.tasks.world import World
 
 REFUSED = {  # and what their refusal says
     "so-arm": "no collision bodies at gripper",

@@ -12,22 +12,22 @@ from refusals import DATA
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.benchmarks.place_task import SHELF_DOOR, carried_can
+from cvqmpt_lab.benchmarks.results.row import RUNS_FILE, read_rows, write_rows
+from cvqmpt_lab.benchmarks.results.store import PATHS_FILE, states_hash, stored_paths
 from cvqmpt_lab.certificate import between_states
-from cvqmpt_lab.certificate.motion_check import with_limits_of
 from cvqmpt_lab.cli.main import main
 from cvqmpt_lab.constraints.report import displacements
 from cvqmpt_lab.experiments.experiment import Experiment
 from cvqmpt_lab.experiments.run import executor_for, run_experiment
+from cvqmpt_lab.features.motion.motion_check import with_limits_of
+from cvqmpt_lab.features.motion.timing import TimingSettings, time_path
+from cvqmpt_lab.features.motion.trajectory import as_csv, as_ros_json, read_motion, save_trajectory
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.results.row import RUNS_FILE, read_rows, write_rows
-from cvqmpt_lab.results.store import PATHS_FILE, states_hash, stored_paths
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.source import ARMS, example_robots
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, Sphere
 from cvqmpt_lab.search.result import Budget, JointPath
-from cvqmpt_lab.trajectory.timing import TimingSettings, time_path
-from cvqmpt_lab.trajectory.trajectory import as_csv, as_ros_json, read_motion, save_trajectory
 
 MIDDLE = 40
 

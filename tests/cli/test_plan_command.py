@@ -9,9 +9,9 @@ from command_line import refused
 from jsonschema import Draft202012Validator
 
 from cvqmpt_lab.constraints.report import displacements
+from cvqmpt_lab.features.motion.trajectory import read_motion
+from cvqmpt_lab.features.tasks.task import PlannedPhase, Task
 from cvqmpt_lab.robot.load import robot_from_source
-from cvqmpt_lab.tasks.task import PlannedPhase, Task
-from cvqmpt_lab.trajectory.trajectory import read_motion
 
 
 def test_plan_prints_a_report_and_writes_the_path(cvqmpt, problem_file, problem, tmp_path):

@@ -8,11 +8,11 @@ import pytest
 from jsonschema import Draft202012Validator
 from refusals import refused
 
+from cvqmpt_lab.features.tasks.task import Task
 from cvqmpt_lab.planning.pipeline import with_drawn_goals
 from cvqmpt_lab.problem import PlanningProblem, check_problem
 from cvqmpt_lab.robot.source import read_source
 from cvqmpt_lab.search.space import ConstrainedSpace, direct_motion
-from cvqmpt_lab.tasks.task import Task
 
 IK = "ik --pose '-0.3, 0.5, 0.3, 3.14, 0, 0' --problem-file"
 

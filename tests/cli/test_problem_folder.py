@@ -9,8 +9,8 @@ from command_line import refused, run_here
 from cvqmpt_lab.base.codec import to_plain
 from cvqmpt_lab.base.files import json_text
 from cvqmpt_lab.benchmarks.place_task import place_kitchen, place_problem
-from cvqmpt_lab.results.provenance import ProvenanceFile
-from cvqmpt_lab.results.row import RUNS_FILE, read_rows
+from cvqmpt_lab.benchmarks.results.provenance import ProvenanceFile
+from cvqmpt_lab.benchmarks.results.row import RUNS_FILE, read_rows
 
 BUDGET = ("--planners", "birrt", "--iterations", "20000", "--jobs", "1")
 

@@ -7,6 +7,7 @@ import pytest
 
 from cvqmpt_lab.base.errors import UnknownChoiceError
 from cvqmpt_lab.benchmarks.declarations import SUITES
+from cvqmpt_lab.benchmarks.results.row import RUNS_FILE
 from cvqmpt_lab.benchmarks.suite_parts import Amount, PlannerGroups
 from cvqmpt_lab.cli.reproduce_command import OverallProgress, duration_line
 from cvqmpt_lab.experiments import experiment
@@ -14,7 +15,6 @@ from cvqmpt_lab.experiments.experiment import Experiment, parts_of
 from cvqmpt_lab.experiments.figures.paper import reproduce_figure
 from cvqmpt_lab.paper_tables.statements import CLAIMS
 from cvqmpt_lab.planning.planners import CONTROLS, PLANNERS
-from cvqmpt_lab.results.row import RUNS_FILE
 from cvqmpt_lab.search.result import Budget
 
 

@@ -10,10 +10,10 @@ from command_line import SCAN_START, refused, run_here
 from PIL import Image
 from scipy.spatial import cKDTree
 
+from cvqmpt_lab.features.scan.scan import ScanSettings, near_robot, scan
+from cvqmpt_lab.features.scan.scan_picture import scan_bodies
 from cvqmpt_lab.scene.cloud_files import read_cloud
 from cvqmpt_lab.scene.scene_files import read_scene
-from cvqmpt_lab.sensing.scan import ScanSettings, near_robot, scan
-from cvqmpt_lab.show.scan_picture import scan_bodies
 
 START, GOAL = SCAN_START, SCAN_START[1:]
 

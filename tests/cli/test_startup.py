@@ -10,10 +10,10 @@ from command_line import ROOT, python, run
 from cvqmpt_lab.cli.main import parser_with
 from cvqmpt_lab.cli.model_command import PROFILE_NAMES, STAGES
 from cvqmpt_lab.constraints.named import NAMED_REGIONS
+from cvqmpt_lab.features.scan.scan import MAP_RESOLUTION_M, ScanSettings
 from cvqmpt_lab.planning.margins import Margin
 from cvqmpt_lab.planning.planners import PLANNERS
 from cvqmpt_lab.search.space import BACKENDS
-from cvqmpt_lab.sensing.scan import MAP_RESOLUTION_M, ScanSettings
 
 HEAVY = (
     "torch", "scipy.stats", "scipy.optimize", "scipy.interpolate", "scipy.ndimage", "matplotlib",

@@ -13,12 +13,12 @@ from cvqmpt_lab.base.files import json_text
 from cvqmpt_lab.base.poses import Placement
 from cvqmpt_lab.constraints.named import NAMED_REGIONS
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, TaskSpaceRegionChain
+from cvqmpt_lab.features.tasks.task import PHASES, Task
 from cvqmpt_lab.problem import PlanningProblem, check_problem
 from cvqmpt_lab.robot.robot import FrameLimit
 from cvqmpt_lab.robot.source import RobotSource
 from cvqmpt_lab.scene.scene import Articulation, Attachment, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import SHAPE_CLASSES, SHAPES_BY_PATH
-from cvqmpt_lab.tasks.task import PHASES, Task
 
 FOLDER = Path(cvqmpt_lab.__file__).parent / "schemas"
 KINDS = {"problem": (PlanningProblem, RobotSource, FrameLimit), "task": (Task, *PHASES.values())}

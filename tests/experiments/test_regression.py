@@ -13,6 +13,8 @@ from refusals import refused
 from cvqmpt_lab.benchmarks.declarations import SUITES
 from cvqmpt_lab.benchmarks.item import UnsolvableProblem
 from cvqmpt_lab.benchmarks.place_task import multi_sequence_task
+from cvqmpt_lab.benchmarks.results.row import FailReason, read_rows
+from cvqmpt_lab.benchmarks.results.store import RunStore, states_hash
 from cvqmpt_lab.benchmarks.suite import suite_named
 from cvqmpt_lab.certificate.certificate import Fault, FaultKind
 from cvqmpt_lab.experiments import regression
@@ -23,8 +25,6 @@ from cvqmpt_lab.paper_tables.committed import committed_directories, differing_c
 from cvqmpt_lab.paper_tables.rendering import render_directory
 from cvqmpt_lab.planning import planners as table
 from cvqmpt_lab.planning.pipeline import solve
-from cvqmpt_lab.results.row import FailReason, read_rows
-from cvqmpt_lab.results.store import RunStore, states_hash
 from cvqmpt_lab.search.birrt import BiRRT
 from cvqmpt_lab.search.method import Method
 from cvqmpt_lab.search.planner_interface import GaussianMixture, Proposal, Uniform

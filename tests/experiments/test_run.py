@@ -14,6 +14,15 @@ from made_rows import differences
 from refusals import refused
 
 from cvqmpt_lab.base.errors import CvqmptError, InvalidInputError, RunStoreError
+from cvqmpt_lab.benchmarks.results.provenance import ProvenanceFile
+from cvqmpt_lab.benchmarks.results.row import (
+    RUNS_FILE,
+    FailReason,
+    read_rows,
+    sorted_rows,
+    write_rows,
+)
+from cvqmpt_lab.benchmarks.results.store import PARTIAL_FILE, directory_rows
 from cvqmpt_lab.experiments import executors
 from cvqmpt_lab.experiments import run as runner
 from cvqmpt_lab.experiments.executors import Limit, Lost, dask_cluster, local_processes
@@ -21,9 +30,6 @@ from cvqmpt_lab.experiments.experiment import Experiment, weights_of
 from cvqmpt_lab.experiments.run import executor_for, run_experiment
 from cvqmpt_lab.paper_tables.rendering import render_directory
 from cvqmpt_lab.planning.warm_up import compile_kernels
-from cvqmpt_lab.results.provenance import ProvenanceFile
-from cvqmpt_lab.results.row import RUNS_FILE, FailReason, read_rows, sorted_rows, write_rows
-from cvqmpt_lab.results.store import PARTIAL_FILE, directory_rows
 from cvqmpt_lab.search.result import Budget
 
 ENOUGH = Budget(iterations=20_000)

@@ -28,24 +28,24 @@ from training_data import write_dataset
 
 from cvqmpt_lab.base.codec import to_plain
 from cvqmpt_lab.base.poses import pose
-from cvqmpt_lab.certificate.motion_check import dry_run
+from cvqmpt_lab.benchmarks.results.provenance import PROVENANCE_FILE, provenance
+from cvqmpt_lab.benchmarks.results.row import RUNS_FILE, csv_text, read_rows
+from cvqmpt_lab.features.motion.motion_check import dry_run
+from cvqmpt_lab.features.motion.timing import time_path
+from cvqmpt_lab.features.motion.trajectory import read_motion, save_trajectory
+from cvqmpt_lab.features.scan.depth import read_capture, read_extrinsics, read_intrinsics
+from cvqmpt_lab.features.tasks.task import Task
 from cvqmpt_lab.paper_tables.rendering import render_directory
 from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.results.provenance import PROVENANCE_FILE, provenance
-from cvqmpt_lab.results.row import RUNS_FILE, csv_text, read_rows
 from cvqmpt_lab.robot.load import load_robot, panda
 from cvqmpt_lab.scene.cloud_files import read_cloud
 from cvqmpt_lab.scene.mesh_files import read_mesh, read_triangles
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, PointCloud, Sphere
 from cvqmpt_lab.search.result import Budget
-from cvqmpt_lab.sensing.depth import read_capture, read_extrinsics, read_intrinsics
-from cvqmpt_lab.tasks.task import Task
 from cvqmpt_lab.training.dataset import open_dataset
 from cvqmpt_lab.training.mpnet_stage import MPNet
-from cvqmpt_lab.trajectory.timing import time_path
-from cvqmpt_lab.trajectory.trajectory import read_motion, save_trajectory
 from cvqmpt_lab.vqmpt.checkpoint import Checkpoint, read_tensors, save_checkpoint
 from cvqmpt_lab.vqmpt.config import MPNetConfig
 from cvqmpt_lab.vqmpt.weights import read_model, robot_signature

@@ -3,8 +3,8 @@
 import json
 from itertools import zip_longest
 
-from cvqmpt_lab.results.provenance import PROVENANCE_FILE
-from cvqmpt_lab.results.row import RUNS_FILE, ResultRow, write_rows
+from cvqmpt_lab.benchmarks.results.provenance import PROVENANCE_FILE
+from cvqmpt_lab.benchmarks.results.row import RUNS_FILE, ResultRow, write_rows
 
 CLEAN = {"git_commit": "a" * 40, "git_dirty": False}
 CONFIGURATION = {"suite": "place", "cutoff_s": 10.0, "tolerance": {"rad": 0.1}}

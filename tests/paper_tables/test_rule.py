@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 from refusals import refused
 
+from cvqmpt_lab.benchmarks.results.row import read_rows
+from cvqmpt_lab.benchmarks.results.statistics import Interval, student_interval
 from cvqmpt_lab.paper_tables.measures import search_cost
 from cvqmpt_lab.paper_tables.rule import (
     WIDEST_FACTOR,
@@ -23,8 +25,6 @@ from cvqmpt_lab.paper_tables.rule import (
     word_of,
     word_on_all_hardware,
 )
-from cvqmpt_lab.results.row import read_rows
-from cvqmpt_lab.results.statistics import Interval, student_interval
 
 RESULTS = Path(__file__).parents[2] / "paper_tables" / "results"
 

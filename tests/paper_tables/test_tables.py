@@ -16,6 +16,8 @@ from ompl._benchmark_statistics import readBenchmarkLog
 from refusals import refused
 
 from cvqmpt_lab.base.errors import RunStoreError
+from cvqmpt_lab.benchmarks.results.row import RUNS_FILE, read_rows, write_rows
+from cvqmpt_lab.benchmarks.results.store import PARTIAL_FILE, RunStore
 from cvqmpt_lab.paper_tables import committed, pages
 from cvqmpt_lab.paper_tables.claims import evidence_below, judged_claims
 from cvqmpt_lab.paper_tables.committed import RESULTS
@@ -28,8 +30,6 @@ from cvqmpt_lab.paper_tables.statements import read_published
 from cvqmpt_lab.paper_tables.table_engine import SuiteTable, by_planner, failure
 from cvqmpt_lab.paper_tables.writers import Ratio, latex_table
 from cvqmpt_lab.planning.planners import PLANNERS
-from cvqmpt_lab.results.row import RUNS_FILE, read_rows, write_rows
-from cvqmpt_lab.results.store import PARTIAL_FILE, RunStore
 
 
 def rows(suite="place-task", count=10):

@@ -12,12 +12,12 @@ from cvqmpt_lab.benchmarks.place_task import TUNING_ENVIRONMENTS, place_problem
 from cvqmpt_lab.certificate.between_states import evenly_spaced
 from cvqmpt_lab.certificate.certificate import CERTIFICATE_TOLERANCE, certify
 from cvqmpt_lab.constraints.report import bound_usage
+from cvqmpt_lab.features.motion.timing import TimingSettings, smooth_curve, time_path
 from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import panda
 from cvqmpt_lab.search.result import Budget, JointPath
 from cvqmpt_lab.search.space import ConstrainedSpace
-from cvqmpt_lab.trajectory.timing import TimingSettings, smooth_curve, time_path
 from cvqmpt_lab.vqmpt.checkpoint import as_modules
 from cvqmpt_lab.vqmpt.codebook import CodeDecoder, ModelConfigurations, waypoint_codes
 from cvqmpt_lab.vqmpt.weights import load_vq_mpt

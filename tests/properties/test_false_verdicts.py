@@ -7,10 +7,10 @@ from second_judge import Arm, Judge
 from small_arms import beside_a_half_turn, carried, gantry, pendulum, problem_of, turned
 
 from cvqmpt_lab.certificate.certificate import CERTIFICATE_TOLERANCE, certify
-from cvqmpt_lab.certificate.motion_check import dry_run
+from cvqmpt_lab.features.motion.motion_check import dry_run
+from cvqmpt_lab.features.motion.trajectory import Motion, Trajectory
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.search.result import JointPath
-from cvqmpt_lab.trajectory.trajectory import Motion, Trajectory
 
 
 @pytest.mark.promise(
@@ -164,7 +164,7 @@ def test_jerk(trials, tmp_path):
 def test_arrival(trials, tmp_path):
     """Motors from far too weak to strong."""
     pytest.importorskip("mujoco")
-    from cvqmpt_lab.execution.execute import execute_motion
+    from cvqmpt_lab.features.physics.execute import execute_motion
 
     late, there = {}, 0
     for number in range(trials):

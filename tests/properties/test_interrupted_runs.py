@@ -24,7 +24,7 @@ from made_rows import untimed
 
 from cvqmpt_lab.base.codec import to_plain
 from cvqmpt_lab.base.files import locked
-from cvqmpt_lab.results.row import RUNS_FILE, read_rows
+from cvqmpt_lab.benchmarks.results.row import RUNS_FILE, read_rows
 from cvqmpt_lab.training.shards import shard_files
 
 PR_CAPBSET_DROP, CAP_DAC_OVERRIDE = 24, 1  # of Linux

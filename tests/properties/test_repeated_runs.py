@@ -7,8 +7,8 @@ import pytest
 from command_line import run, run_here
 from made_rows import differences
 
+from cvqmpt_lab.benchmarks.results.row import RUNS_FILE, read_rows
 from cvqmpt_lab.planning.planners import CONTROLS, PLANNERS
-from cvqmpt_lab.results.row import RUNS_FILE, read_rows
 
 SOME = ("birrt", "ompl-projected", "mpnet", "cvq-mpt")
 JUMPING = """

@@ -5,11 +5,12 @@ import pytest
 from refusals import refused
 
 from cvqmpt_lab.certificate.certificate import FaultKind, Verdict, certify
-from cvqmpt_lab.certificate.motion_check import DryRun
-from cvqmpt_lab.certificate.record import record, report_lines
 from cvqmpt_lab.collision.carried import carried_pairs
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.region_constraint import RegionConstraint
+from cvqmpt_lab.features.motion.motion_check import DryRun
+from cvqmpt_lab.features.motion.record import record, report_lines
+from cvqmpt_lab.features.motion.trajectory import Motion
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import load_robot, robot_from_source
 from cvqmpt_lab.robot.source import ARMS
@@ -17,7 +18,6 @@ from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject, pose
 from cvqmpt_lab.scene.shapes import Box, Sphere
 from cvqmpt_lab.search.result import JointPath
 from cvqmpt_lab.search.space import ConstrainedSpace
-from cvqmpt_lab.trajectory.trajectory import Motion
 
 ELBOW = '<link name="elbow"><collision>'
 ELBOW_END = '<cylinder radius="0.03" length="0.2"/></geometry></collision>'

@@ -7,14 +7,14 @@ import pytest
 from refusals import refused
 
 from cvqmpt_lab.certificate.certificate import FaultKind, certify
-from cvqmpt_lab.certificate.limit_use import Ends
-from cvqmpt_lab.certificate.motion_check import dry_run
+from cvqmpt_lab.features.motion.limit_use import Ends
+from cvqmpt_lab.features.motion.motion_check import dry_run
+from cvqmpt_lab.features.motion.trajectory import Motion
 from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import load_robot
 from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.search.result import Budget, JointPath
-from cvqmpt_lab.trajectory.trajectory import Motion
 
 TWIST = '<joint name="twist" type="{}">'
 

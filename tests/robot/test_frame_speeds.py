@@ -8,19 +8,19 @@ from refusals import refused
 from trajectory.test_trajectory import random_motion
 
 from cvqmpt_lab.certificate.certificate import FaultKind
-from cvqmpt_lab.certificate.limit_use import frame_uses
-from cvqmpt_lab.certificate.motion_check import (
+from cvqmpt_lab.features.motion.frame_speeds import FrameSpeeds, with_frame_limits
+from cvqmpt_lab.features.motion.limit_use import frame_uses
+from cvqmpt_lab.features.motion.motion_check import (
     certified_motion,
     dry_run,
     speed_within_limits,
     trajectory_faults,
 )
+from cvqmpt_lab.features.motion.timing import TimingSettings
+from cvqmpt_lab.features.motion.trajectory import Motion
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.robot.frame_speeds import FrameSpeeds, with_frame_limits
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.robot import FrameLimit
-from cvqmpt_lab.trajectory.timing import TimingSettings
-from cvqmpt_lab.trajectory.trajectory import Motion
 
 LIMITS = {"panda_hand": FrameLimit(1.0), "panda_link4": FrameLimit(None, 1.5)}
 FULL = TimingSettings(speed=1.0)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from cvqmpt_lab.benchmarks.passages import cage_problem, maze_problem, slot_problem
+from cvqmpt_lab.benchmarks.results.store import states_hash
 from cvqmpt_lab.planning.pipeline import solve, with_drawn_goals
-from cvqmpt_lab.results.store import states_hash
 from cvqmpt_lab.robot.hulls import coal_distance
 from cvqmpt_lab.scene.coal_shapes import coal_shape, transform
 from cvqmpt_lab.search.cell_grids import empty_grids, free_rows

@@ -12,6 +12,7 @@ from refusals import refused
 
 from cvqmpt_lab.base.errors import CvqmptError, InvalidProblemError
 from cvqmpt_lab.base.poses import pose
+from cvqmpt_lab.benchmarks.results.store import states_hash
 from cvqmpt_lab.certificate.certificate import certify
 from cvqmpt_lab.collision import arrays
 from cvqmpt_lab.collision.exact import CollisionChecker
@@ -19,7 +20,6 @@ from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.planning.planners import PLANNERS, planner_named
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.results.store import states_hash
 from cvqmpt_lab.scene.scene import Attachment, SceneObject
 from cvqmpt_lab.scene.shapes import Box, Cylinder
 from cvqmpt_lab.search.birrt import DRAW_MODES, BiRRT, enlarged_trees, grow, plant

@@ -8,11 +8,11 @@ import pytest
 from refusals import refused
 
 from cvqmpt_lab.benchmarks.place_task import place_problem
+from cvqmpt_lab.benchmarks.results.store import states_hash
 from cvqmpt_lab.certificate.certificate import certify
 from cvqmpt_lab.constraints.goals import goals_in_any_posture
 from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.planning.planners import planner_named
-from cvqmpt_lab.results.store import states_hash
 from cvqmpt_lab.search.anytime import InformedSamples, improve, informed_roadmap_path
 from cvqmpt_lab.search.birrt import GrowingTrees
 from cvqmpt_lab.search.edge_costs import CLEARANCE_MAX_M, CLEARANCE_MIN_M, reading, readings

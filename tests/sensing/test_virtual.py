@@ -10,23 +10,17 @@ from refusals import refused
 from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.benchmarks.families import random_scene
 from cvqmpt_lab.benchmarks.place_task import CAN
+from cvqmpt_lab.features.scan.scan import MapSettings, ScanSettings, occupancy_map, scan
 from cvqmpt_lab.scene.cloud_files import Cloud
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import PointCloud, Sphere
 from cvqmpt_lab.sensing.camera import Intrinsics, look_at
-from cvqmpt_lab.sensing.crop import Crop
+from cvqmpt_lab.sensing.crop import Crop, voxel_means
 from cvqmpt_lab.sensing.observation import (
     CameraSettings,
     Observer,
     camera_cloud,
     visible_points,
-)
-from cvqmpt_lab.sensing.scan import (
-    MapSettings,
-    ScanSettings,
-    occupancy_map,
-    scan,
-    voxel_means,
 )
 
 

@@ -20,7 +20,12 @@ from cvqmpt_lab.sensing.observation import CameraSettings, visible_points
 from cvqmpt_lab.training.clouds import CloudSettings, measured_points, sample_cloud
 from cvqmpt_lab.training.dataset import BaseTurn, Shapes, open_dataset
 from cvqmpt_lab.training.generation import scene_rows
-from cvqmpt_lab.training.mpnet_stage import MPNetSettings, MPNetStage, SceneBatchSettings, turned
+from cvqmpt_lab.training.mpnet_stage import (
+    MPNetSettings,
+    MPNetStage,
+    SceneBatchSettings,
+    turned,
+)
 from cvqmpt_lab.training.sequence_dataset import open_sequences
 from cvqmpt_lab.vqmpt.config import MPNetConfig, SerialChain
 from cvqmpt_lab.vqmpt.dictionary import LinkPositions

@@ -8,10 +8,10 @@ import pytest
 import torch
 
 from cvqmpt_lab.benchmarks.place_task import TUNING_ENVIRONMENTS, place_problem
+from cvqmpt_lab.benchmarks.results.store import states_hash
 from cvqmpt_lab.certificate.certificate import certify
 from cvqmpt_lab.planning.pipeline import solve, with_drawn_goals
 from cvqmpt_lab.planning.planners import CONTROLS, planner_named
-from cvqmpt_lab.results.store import states_hash
 from cvqmpt_lab.search.method import Method
 from cvqmpt_lab.search.planner_interface import Observation, Query, Uniform
 from cvqmpt_lab.search.result import Budget, JointPath, PlanStatus

@@ -1,0 +1,86 @@
+"""Read files by their suffix, and fields of plain data that somebody else wrote."""
+
+import contextlib
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cvqmpt_lab.base.errors import (
+    CvqmptError,
+    InvalidInputError,
+    at,
+    mapping,
+    require_choice,
+    shown,
+)
+from cvqmpt_lab.base.files import read_bytes
+
+
+def read_by_suffix(
+    readers: Mapping[str, Callable[..., Any]],
+    path: Path | str,
+    what: str,
+    *more: Any,
+    most: int = 2**31,
+) -> Any:
+    """Return the result of the reader for a file's suffix; errors are one line with the file.
+
+    Args:
+        readers: functions of the file's bytes, by suffix in small letters.
+        path: path of a regular file.
+        what: noun for the file in errors.
+        more: arguments of the reader after the bytes.
+        most: largest size of the file [bytes].
+
+    Raises:
+        InvalidInputError: the file cannot be read.
+        UnknownChoiceError: no reader has this suffix.
+    """
+    path = Path(path)
+    reader = readers[kind_of(path, readers, what)]
+    if path.is_file() and path.stat().st_size > most:
+        raise InvalidInputError(
+            f"cannot read {what} {path}: more than {most} bytes; make it smaller"
+        )
+    data = read_bytes(path, what)
+    with parsing(path, what), np.errstate(over="ignore", invalid="ignore"):
+        return reader(data, *more)
+
+
+def kind_of(path: Path | str, kinds: Collection[str], what: str) -> str:
+    """Return the suffix of a file in small letters; UnknownChoiceError if it is not in `kinds`."""
+    path = Path(path)
+    return require_choice(f"kind of {what} {path.name}: suffix", path.suffix.lower(), kinds)
+
+
+@contextlib.contextmanager
+def parsing(path: Path, what: str) -> Iterator[None]:
+    """Convert every error of a parser inside the block to an InvalidInputError with the file."""
+    try:
+        yield
+    except Exception as error:  # parsers of other packages raise all kinds of errors
+        said = " ".join(str(error).split()) or type(error).__name__
+        if not isinstance(error, CvqmptError):  # own messages end with the cure
+            said = said[:200]
+        raise InvalidInputError(f"{what} {path} cannot be parsed: {said}") from error
+
+
+def known_fields(value: Any, where: str, known: Collection[str]) -> Mapping[str, Any]:
+    """Return `value` if it is a JSON object with fields of `known` alone; else refuse it."""
+    for key in mapping(value, where, ", ".join(known)):
+        require_choice(f"key of {where}", key, known)
+    return value
+
+
+def listed(value: Any, what: str) -> Sequence[Any]:
+    """Return a list, empty for None; refuse any other value."""
+    if value is not None and not isinstance(value, list):
+        raise InvalidInputError(f"{at('', what)} is {shown(value)}; it must be a list")
+    return value or []
+
+
+def field_of(value: Any, name: str) -> Any:
+    """Return a field of a mapping, or None."""
+    return value.get(name) if isinstance(value, Mapping) else None

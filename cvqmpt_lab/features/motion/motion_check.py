@@ -1,0 +1,285 @@
+"""Check of a motion before it is executed: limits, start, both ends, certificate.
+
+`motion_curves` says which curves between its points are checked. Jerk is that of the quintic, also
+where it is a cubic; without accelerations it is not judged: between cubics they jump.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from cvqmpt_lab.base.errors import InvalidInputError, require_kind
+from cvqmpt_lab.base.polyline import step_lengths
+from cvqmpt_lab.base.values import FULL_TURN_RAD
+from cvqmpt_lab.certificate.certificate import Certificate, Fault, FaultKind, certify
+from cvqmpt_lab.collision.carried import reach_with
+from cvqmpt_lab.features.motion.frame_speeds import FrameSpeeds
+from cvqmpt_lab.features.motion.limit_use import (
+    LIMIT_OVERSHOOT,
+    Ends,
+    LimitUse,
+    effort_uses,
+    frame_uses,
+    position_use,
+    rate_uses,
+    rest_faults,
+)
+from cvqmpt_lab.features.motion.motion_curves import curves_of, straight_moments
+from cvqmpt_lab.features.motion.trajectory import Motion, Trajectory
+from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.robot.load import robot_from_source
+from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.search.result import JointPath
+
+if TYPE_CHECKING:
+    from scipy.interpolate import PPoly  # half a second to import, needed for trajectories alone
+
+    from cvqmpt_lab.features.motion.timing import TimingSettings
+
+# largest distance of a joint from the straight pieces that are certified in its place [rad or m]
+CURVE_TOLERANCE = 1e-6
+
+
+class DryRun(NamedTuple):
+    """Certificate of a path or trajectory, with the faults of velocities, efforts and the like."""
+
+    certificate: Certificate  # places of faults are numbers of `states`
+    # (m, n) the certified states; of a trajectory, within CURVE_TOLERANCE of it [rad or m]
+    states: np.ndarray
+    # (m,) of the states, counted as those of the motion [s]; None for a path
+    times: np.ndarray | None = None
+    # largest distance of the robot's points from those on straight pieces between the states
+    deviation_m: float = 0.0
+    # "cubic", "quintic", "spline" or "linear", the worse one of those checked; "" for a path
+    curve: str = ""
+    uses: tuple[LimitUse, ...] = ()  # of the limits, on that curve
+
+    @property
+    def limits_alone(self) -> bool:
+        """Whether all faults are exceeded limits of rates and efforts, which slowing may cure."""
+        return all(fault.kind in LIMIT_OVERSHOOT for fault in self.certificate.faults)
+
+
+def certified_motion(
+    problem: PlanningProblem, path: JointPath, settings: TimingSettings | None = None
+) -> Trajectory:
+    """Compute the fastest certified motion along a path, with the velocities of `settings` at ends.
+
+    The quintics between its points are certified, and the cubics. Raises InvalidInputError if the
+    path does not move, the robot has no acceleration limits, or no motion is certified.
+    """
+    from cvqmpt_lab.features.motion.timing import time_path  # half a second to import
+
+    # OMPL repeats some states, which cannot be timed
+    states = path.states[np.append(True, step_lengths(path.states) > 1e-8)]
+    if len(states) < 2:
+        raise InvalidInputError("the path does not move: there is nothing to time")
+    states[-1] = path.states[-1]
+
+    faults = partial(trajectory_faults, problem, settings=settings)
+    frames = FrameSpeeds(problem.robot) if problem.robot.frame_limits else None
+    limits = problem.robot.joint_limits
+    return time_path(states, limits, settings, faults, problem.dynamics, frames)
+
+
+def trajectory_faults(
+    problem: PlanningProblem, motion: Trajectory, settings: TimingSettings | None = None
+) -> Sequence[str]:
+    """Return why a trajectory with these settings is not certified for a problem; empty: it is."""
+    states = (motion.positions, motion.times, motion.velocities, motion.accelerations)
+    ends = Ends()
+    if settings is not None:
+        start, end = (
+            None if velocity is None else np.array(velocity)
+            for velocity in (settings.start_velocity, settings.end_velocity)
+        )
+        ends = Ends(start_velocity=start, end_velocity=end)
+    return dry_run(problem, Motion(motion.joint_names, *states), ends).certificate.reasons
+
+
+def with_limits_of(problem: PlanningProblem, motion: Motion) -> PlanningProblem:
+    """Return the problem with the limits in a motion's file of the kinds that its robot lacks."""
+    robot = problem.robot
+    given = motion.of_joints(robot.joint_names).limits if "articulated" not in robot.source else {}
+    lacking = {"acceleration", "jerk", "torque_rate"} - robot.limits.keys()
+    if not (robot.velocity_limits > 0.0).all():
+        lacking.add("velocity")
+    taken = {
+        kind: given[kind] for kind in given if kind in lacking and np.isfinite(given[kind]).all()
+    }
+    if not taken:
+        return problem
+    source = {f"{kind}_limits": values.tolist() for kind, values in taken.items()}
+    limited = robot_from_source({**robot.source, **source})
+    said = f"limits of {' and '.join(taken)} are those in the file of the motion"
+    return replace(problem, robot=replace(limited, remarks=(*limited.remarks, said)))
+
+
+def dry_run(
+    problem: PlanningProblem,
+    motion: Motion,
+    ends: Ends | None = None,
+    exact_clearance: bool = False,
+) -> DryRun:
+    """Check a path or trajectory before it is sent to an arm.
+
+    Args:
+        problem: start, goals, constraint, robot and scene.
+        motion: the path or trajectory.
+        ends: begin and end of the motion; None: at rest, at the start and at a goal.
+        exact_clearance: as in `certify`.
+
+    Raises InvalidInputError for joints of another robot, positions in degrees, and times that do
+    not increase.
+    """
+    require_kind("motion", motion, Motion, "give Motion(joint_names, positions, times)")
+    ends = ends or Ends()
+    motion = motion.of_joints(problem.robot.joint_names)
+    states, robot = motion.positions, problem.robot
+    usable = states.ndim == 2 and states.shape[1] == robot.dof and np.isfinite(states).all()
+    usable = usable and len(states) > 0
+    if usable:
+        _refuse_degrees(robot, states)
+    faults = (
+        _start_fault(problem, states[0], ends.current, ends.tolerance)
+        if ends.current is not None and usable
+        else []
+    )
+    if motion.times is None or not usable:
+        certificate = certify(problem, JointPath(states), exact_clearance=exact_clearance)
+        return DryRun(_with_faults(certificate, faults, ends), states)
+    # a hinge moves points by at most the diameter times dq, a slider by dq [m]
+    deviation_m = (
+        max(2.0 * reach_with(robot, problem.attachments), 1.0)
+        * float(np.abs(robot.kinematics.multiplier).sum())
+        * CURVE_TOLERANCE
+    )
+    curves, gap = curves_of(motion, ends.start_velocity, ends.end_velocity, ends.part)
+    together = gap <= 0.5 * CURVE_TOLERANCE
+    runs: list[DryRun] = []
+    for name, curve in curves.items():
+        if not (runs and together):  # else the certified pieces are close to this curve, too
+            flat = CURVE_TOLERANCE - (gap if together else 0.0)
+            times = straight_moments(curve, robot, flat)
+            states = curve(times)
+            checker = problem.collision_checker(deviation_m)
+            certificate = certify(problem, JointPath(states), checker, exact_clearance)
+        uses, missing = _uses(problem, motion, name, curve)
+        own = [*missing, *(use.fault(times) for use in uses if use.exceeded)]
+        own += rest_faults(name, curve, robot, len(times) - 1.0, ends)
+        checked = _with_faults(certificate, [*own, *faults], ends)
+        uses = (*position_use(robot, states, times), *uses)
+        # curves begin at 0, the times of a motion may begin later
+        begin = float(motion.times[0])
+        uses = tuple(use._replace(time=begin + use.time) for use in uses)
+        runs.append(DryRun(checked, states, begin + times, deviation_m, name, uses))
+        if checked.faults:
+            return runs[-1]
+    return min(runs, key=lambda run: (run.certificate.valid, _least(run.certificate)))
+
+
+def speed_within_limits(
+    problem: PlanningProblem, motion: Motion, ends: Ends | None = None
+) -> float | None:
+    """Compute the largest speed at which a trajectory keeps the limits of all joints.
+
+    Returns:
+        A factor on the speed, at most 1, rounded down to 0.01, so that rates and efforts keep
+        their limits; None: none from 0.01 on does, joints do not rest at an end, or the spline of
+        the slower motion is another curve that is not certified.
+    """
+    ends = ends or Ends()
+    motion = motion.of_joints(problem.robot.joint_names)
+
+    def kept(percent: int) -> bool:
+        slowed = motion.at_speed(0.01 * percent)
+        for name, curve in curves_of(slowed, ends.start_velocity, ends.end_velocity, ends.part)[
+            0
+        ].items():
+            uses, missing = _uses(problem, slowed, name, curve)
+            faults = [*missing, *rest_faults(name, curve, problem.robot, 0.0, ends)]
+            if faults or any(use.exceeded for use in uses):
+                return False
+        return True
+
+    if kept(100):
+        return 1.0
+    low, high = 0, 100  # the limits hold at `low`, or it is 0; they do not at `high`
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (middle, high) if kept(middle) else (low, middle)
+    if not low:
+        return None
+    # with a given velocity at an end, a slower spline through the same positions is another curve
+    given = [v for v in (ends.start_velocity, ends.end_velocity) if v is not None]
+    if motion.velocities is None and any(np.any(v) for v in given):
+        slowed = dry_run(problem, motion.at_speed(0.01 * low), ends)
+        return 0.01 * low if slowed.certificate.valid else None
+    return 0.01 * low
+
+
+def _refuse_degrees(robot: Robot, states: np.ndarray) -> None:
+    """Refuse states (m, n) that are far outside the joint limits, but inside them as degrees."""
+    hinges = ~robot.kinematics.prismatic[robot.kinematics.order[: robot.dof]]
+    beyond = np.maximum(robot.lower - states, states - robot.upper).max(axis=0)
+    turned = np.where(hinges, np.radians(states), states)
+    # joints may stand beyond their limits in a motion with a fault
+    inside = (turned >= robot.lower - 0.1) & (turned <= robot.upper + 0.1)
+    j = int(np.where(hinges, beyond, -np.inf).argmax())
+    if hinges[j] and beyond[j] > FULL_TURN_RAD and inside.all():
+        k = int(np.abs(states[:, j]).argmax())
+        raise InvalidInputError(
+            f"{robot.joint_names[j]} is at {states[k, j]:.4g}, its limits are "
+            f"{robot.lower[j]:.4g} to {robot.upper[j]:.4g}: degrees? Give radians"
+        )
+
+
+def _uses(
+    problem: PlanningProblem, motion: Motion, name: str, curve: PPoly
+) -> tuple[tuple[LimitUse, ...], list[Fault]]:
+    """Return the use of every limit on a curve of a motion, and why one is not known."""
+    # the quintic has these accelerations at its points
+    given = motion.accelerations if name == "cubic" else None
+    found = [*rate_uses(name, curve, given, problem.robot)]
+    proven = [*frame_uses(problem.robot, curve)]
+    if name != "linear":
+        proven += effort_uses(problem, curve)
+    missing = [item for item in proven if isinstance(item, Fault)]
+    return (*found, *(item for item in proven if isinstance(item, LimitUse))), missing
+
+
+def _with_faults(certificate: Certificate, faults: Sequence[Fault], ends: Ends) -> Certificate:
+    """Return a certificate with more faults; of a part of a motion, without those of its ends."""
+    kinds = (FaultKind.START, FaultKind.GOAL) if ends.part else ()
+    left = (fault for fault in certificate.faults if fault.kind not in kinds)
+    return replace(certificate, faults=(*faults, *left))
+
+
+def _least(certificate: Certificate) -> float:
+    """Return the least distance that a certificate knows [m]: measured, else proven."""
+    if not np.isnan(certificate.min_clearance_m):
+        return certificate.min_clearance_m
+    clearances = filter(None, (certificate.obstacle_clearance, certificate.self_clearance))
+    return min((item.at_least_m for item in clearances), default=np.inf)
+
+
+def _start_fault(
+    problem: PlanningProblem, first: np.ndarray, current: np.ndarray, tolerance: float
+) -> list[Fault]:
+    """Compare the begin of a motion (n,) with the current configuration (n,) of the arm."""
+    if current.shape != first.shape or not np.isfinite(current).all():
+        raise InvalidInputError(
+            f"current configuration of {len(current)} values: give {len(first)} finite numbers, "
+            f"one each for {', '.join(problem.robot.joint_names)}"
+        )
+    off = np.abs(problem.robot.differences(first, current))
+    if off.max() <= tolerance:
+        return []
+    name = problem.robot.joint_names[int(off.argmax())]
+    text = f"{name} stands {off.max():.4g} from where the motion begins, tolerance {tolerance:g}"
+    return [Fault(FaultKind.CURRENT, text, 0.0)]

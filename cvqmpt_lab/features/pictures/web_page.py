@@ -1,0 +1,178 @@
+"""Html page that shows a solution or a task in 3-D, with a time slider and plots.
+
+It is one file that contains its own viewer (WebGL, `plan_page.html`) and needs no network.
+"""
+
+import json
+import math
+from base64 import b64encode
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cvqmpt_lab.base.files import write_text
+from cvqmpt_lab.features.pictures.bodies import (
+    Drawing,
+    drawing_of_problem,
+    drawing_of_solution,
+    mesh_in_view,
+    mesh_of,
+)
+from cvqmpt_lab.features.pictures.curves import Plot
+from cvqmpt_lab.features.pictures.raster import clear_viewpoint
+from cvqmpt_lab.features.tasks.solve import TaskSolution
+from cvqmpt_lab.planning.solution import Solution
+from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.scene.scene import Attachment
+from cvqmpt_lab.search.result import JointPath
+
+PAGE_TEMPLATE = Path(__file__).with_name("plan_page.html")
+# element of the template; {} is replaced by the data
+PAGE_DATA_ELEMENT = '<script type="application/json" id="data">{}</script>'
+
+
+def save_page(
+    solution: Solution | TaskSolution,
+    path: Path,
+    carried: Sequence[Attachment] = (),
+    most_states: int = 400,
+) -> None:
+    """Write a solution or a task as one html file; a task is shown up to the phase that failed.
+
+    Args:
+        solution: a solution of a problem or task.
+        path: the file to write.
+        carried: objects drawn in the hand if the problem has no attachments.
+        most_states: a path of more states is resampled to this number, at equal distances.
+    """
+    write_text(path, _html(drawing_of_solution(solution, carried, most_states, plots=True)))
+
+
+def path_html(
+    problem: PlanningProblem,
+    states: np.ndarray,
+    verdict: str,
+    carried: Sequence[Attachment] = (),
+    most_states: int = 400,
+    times: np.ndarray | None = None,
+    lines: Sequence[str] = (),
+) -> str:
+    """Text of an html page, as `save_page` writes it, for a path or the states of a motion.
+
+    Args:
+        problem: the problem that the path solves.
+        states: states (m, n) of the path [rad or m].
+        verdict: last part of the title, e.g. "certified path of birrt".
+        carried: objects drawn in the hand if the problem has no attachments.
+        most_states: a path of more states is resampled to this number, at equal distances.
+        times: (m,) of at most `most_states` states, evenly [s]; None: a path has none.
+        lines: text below the drawing; empty: that of the problem.
+    """
+    drawing = drawing_of_problem(
+        problem,
+        JointPath(states),
+        carried,
+        most_states,
+        plots=True,
+        verdict=verdict,
+        lines=lines or repr(problem).splitlines(),
+    )
+    return _html(drawing if times is None else replace(drawing, times=times))
+
+
+def _html(drawing: Drawing, size: tuple[int, int] = (1100, 600)) -> str:
+    """Text of the html page.
+
+    Args:
+        drawing: the drawing.
+        size: width and height [pixels] for which the initial viewpoint is chosen.
+    """
+    # choose a viewpoint that shows the robot at the start of a task, or at both ends of a path
+    ends = (0,) if drawing.times is not None else (0, len(drawing.labels) - 1)
+    robot = [body for body in drawing.moving if body.layer == "robot"]
+    views = [mesh_in_view(robot, k) for k in ends]
+    # and that contains the whole motion, tested at about ten states
+    count = len(drawing.labels)
+    inside = [mesh_in_view(drawing.moving, k) for k in range(0, count, max(1, count // 10))]
+    torso = mesh_of(body for body in robot if body.torso)
+    viewpoint = clear_viewpoint(views, mesh_of(drawing.scene), size, inside, torso)
+    bodies = drawing.bodies("goals", "path", "constraint", "hand")
+    meshes = list(dict.fromkeys(body.mesh for body in bodies))
+    offset = np.subtract(viewpoint.eye, viewpoint.target)
+    distance = float(np.linalg.norm(offset))
+    labels = list(drawing.labels)
+    if drawing.times is not None:
+        labels = [f"{name}, {t:.1f} s" for name, t in zip(labels, drawing.times, strict=True)]
+    data = {
+        "title": drawing.title,
+        "lines": list(drawing.lines),
+        "unseen": list(drawing.unseen),
+        "states": len(labels),
+        "labels": labels,
+        # duration of the animation [s]
+        "seconds": 6.0 if drawing.times is None else max(float(np.ptp(drawing.times)), 1.0),
+        "camera": {
+            "target": list(map(float, viewpoint.target)),
+            "distance": distance,
+            "azimuth": math.atan2(offset[1], offset[0]),
+            "elevation": math.asin(offset[2] / distance),
+            "angle": viewpoint.height_angle,
+        },
+        "meshes": [
+            {
+                "positions": _base64(points.astype("<f4")),
+                # integers from -127 to 127
+                "normals": _base64(np.round(127 * normals).astype(np.int8)),
+                "faces": _base64(faces.astype("<u4")),
+            }
+            for points, normals, faces in (mesh.shared for mesh in meshes)
+        ],
+        "bodies": [
+            {
+                "group": body.group,
+                "colour": list(map(float, body.colour)),
+                "opacity": body.opacity,
+                "mesh": meshes.index(body.mesh),
+                "poses": _base64(body.poses[:, :3].astype("<f4")),
+            }
+            for body in bodies
+        ],
+        "plots": [_plot(plot) for plot in drawing.plots],
+    }
+    # "<" is escaped, because "</script>" in a name would end the script element
+    text = json.dumps(data, allow_nan=False).replace("<", "\\u003c")
+    page = PAGE_TEMPLATE.read_text(encoding="utf-8")
+    return page.replace(PAGE_DATA_ELEMENT, PAGE_DATA_ELEMENT.replace("{}", text))
+
+
+def _base64(array: np.ndarray) -> str:
+    """Base64 text of an array's bytes."""
+    return b64encode(array.tobytes()).decode()
+
+
+def _plot(
+    plot: Plot,
+    palette: Sequence[str] = (
+        "#1f6fb4", "#d1662a", "#2e8b57", "#8a4fa3", "#b8336a", "#8c6d1f", "#3aa6a6", "#70757d",
+    ),
+) -> dict[str, Any]:  # fmt: skip
+    """Plot as plain data for json; bounds are red, and numbers that are not finite become null."""
+    low, high = plot.extremes
+    margin = 0.08 * max(high - low, 1e-3)
+    bottom = low if plot.from_zero and low == 0.0 else low - margin
+    curves = []
+    for k, (name, values) in enumerate(plot.lines.items()):
+        bound = name in plot.bounds
+        curves.append(
+            {
+                "name": name,
+                "values": [float(f"{x:.6g}") if math.isfinite(x) else None for x in values],
+                "colour": "#cc3333" if bound else palette[k % len(palette)],
+                "width": 1.0 if bound else plot.width,
+                "bound": bound,
+            }
+        )
+    return {"title": plot.title, "curves": curves, "low": bottom, "high": high + margin}

@@ -1,1 +1,0 @@
-"""Geometry on plain arrays."""

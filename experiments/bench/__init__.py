@@ -1,0 +1,1 @@
+"""Scripts that measure times and prices; their numbers are in docs/performance.md."""

@@ -1,0 +1,88 @@
+"""Motions in recordings: an MCAP file is written with a message of ROS 2, and read again."""
+
+import numpy as np
+import pytest
+from mcap_ros2.writer import Writer
+from refusals import refused
+
+from cvqmpt_lab.features.motion.trajectory import read_motion
+
+LINE = "=" * 80
+TRAJECTORY = f"""
+std_msgs/Header header
+string[] joint_names
+trajectory_msgs/JointTrajectoryPoint[] points
+{LINE}
+MSG: std_msgs/Header
+builtin_interfaces/Time stamp
+string frame_id
+{LINE}
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec
+{LINE}
+MSG: trajectory_msgs/JointTrajectoryPoint
+float64[] positions
+float64[] velocities
+float64[] accelerations
+float64[] effort
+builtin_interfaces/Duration time_from_start
+{LINE}
+MSG: builtin_interfaces/Duration
+int32 sec
+uint32 nanosec
+"""
+STATES = [[0.0, 1.0], [0.5, 1.5]]
+
+
+def written(path, topics=("/plan",), states=STATES, time=1):
+    """Write a recording with a motion on each topic at a time [ns], and a text on /log."""
+    points = [
+        {"positions": q, "time_from_start": {"sec": k, "nanosec": 0}} for k, q in enumerate(states)
+    ]
+    message = {"joint_names": ["first", "second"], "points": points}
+    with path.open("wb") as file, Writer(file) as writer:
+        text = writer.register_msgdef("std_msgs/msg/String", "string data")
+        writer.write_message("/log", text, {"data": "ready"}, 0, 0)
+        kind = writer.register_msgdef("trajectory_msgs/msg/JointTrajectory", TRAJECTORY)
+        for topic in topics:
+            writer.write_message(topic, kind, message, time, time)
+    return path
+
+
+def test_a_recording_has_the_motion(tmp_path):
+    file = written(tmp_path / "a.mcap")
+    (tmp_path / "metadata.yaml").write_text("rosbag2_bagfile_information: {}\n")
+    for path in (file, tmp_path):  # the folder is that of rosbag2
+        motion = read_motion(path, "/plan")
+        assert motion.joint_names == ("first", "second") and motion.velocities is None
+        np.testing.assert_array_equal(motion.positions, STATES)
+        np.testing.assert_array_equal(motion.times, [0.0, 1.0])
+
+
+def test_the_last_message_of_a_bag_is_that_of_the_latest_time(tmp_path):
+    (tmp_path / "metadata.yaml").write_text("rosbag2_bagfile_information: {}\n")
+    for k in (2, 10):
+        written(tmp_path / f"rec_{k}.mcap", states=[[float(k), 0.0], [0.0, 0.0]], time=k)
+    assert read_motion(tmp_path).positions[0, 0] == 10.0
+
+
+@pytest.mark.parametrize(
+    ("topics", "chosen", "told"),
+    [
+        ((), None, r"has no topic with a JointTrajectory, .* its topics: /log \(String\)"),
+        (("/plan", "/other"), None, "has motions on /plan, /other: choose one by --topic"),
+        (("/plan",), "/nope", "topic '/nope'; valid choices: /plan"),
+    ],
+)
+def test_a_recording_without_the_topic_is_one_line(tmp_path, topics, chosen, told):
+    refused(told, read_motion, written(tmp_path / "a.mcap", topics), chosen)
+
+
+def test_what_is_no_recording_is_one_line(tmp_path):
+    (tmp_path / "a.mcap").write_bytes(b"no recording")
+    refused("cannot read recording", read_motion, tmp_path / "a.mcap")
+    (tmp_path / "bag").mkdir()
+    (tmp_path / "bag" / "metadata.yaml").write_text("")
+    refused("has no .mcap file", read_motion, tmp_path / "bag")
+    refused("topic '/plan' belongs to a recording", read_motion, tmp_path / "a.csv", "/plan")
