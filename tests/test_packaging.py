@@ -149,6 +149,7 @@ def test_the_plan_of_the_house_names_every_room():
     package = ROOT / "cvqmpt_lab"
     found = {path.stem for path in package.glob("*.py")} - {"__init__"}
     found |= {f"{path.parent.name}/" for path in package.glob("*/__init__.py")}
+    assert {path.parent.name for path in package.glob("features/*/__init__.py")} <= {*block.split()}
     assert rooms == found - {f"{name}/" for name in LINKED}
 
 

@@ -72,16 +72,11 @@ def numba_uses() -> str:
     return " ".join([processor, *added])
 
 
-def numpy_instructions() -> list[str]:
-    """Return the sets of instructions that numpy uses in this process, beside those it needs."""
-    import numpy._core._multiarray_umath as umath
-
-    return [name for name in umath.__cpu_dispatch__ if umath.__cpu_features__[name]]
-
-
 def numpy_uses() -> str:
     """Return TARGET, or the kernels that numpy and the OpenBLAS of numpy and scipy use."""
     from threadpoolctl import threadpool_info
+
+    from cvqmpt_lab.base.caches import numpy_instructions  # imports numpy
 
     sets = numpy_instructions()
     blas = sorted({one["architecture"] for one in threadpool_info() if "architecture" in one})

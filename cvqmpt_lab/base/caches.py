@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 import numpy as np
+import numpy._core._multiarray_umath as umath
 
-from cvqmpt_lab.base.arithmetic import numpy_instructions
 from cvqmpt_lab.base.errors import InvalidInputError, shown
 from cvqmpt_lab.base.files import replacing
 
@@ -52,6 +52,11 @@ def sources_digest(*places: Path) -> str:
             digest.update(str(path.relative_to(place.parent)).encode())
             digest.update(path.read_bytes())
     return digest.hexdigest()[:16]
+
+
+def numpy_instructions() -> list[str]:
+    """Return the sets of instructions that numpy uses in this process, beside those it needs."""
+    return [name for name in umath.__cpu_dispatch__ if umath.__cpu_features__[name]]
 
 
 def cached_arrays(

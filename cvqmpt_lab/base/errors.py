@@ -169,6 +169,13 @@ def mapping(value: Any, where: str, fields: str = "") -> Mapping[str, Any]:
     return value
 
 
+def known_fields(value: Any, where: str, known: Collection[str]) -> Mapping[str, Any]:
+    """Return `value` if it is a JSON object with fields of `known` alone; else refuse it."""
+    for key in mapping(value, where, ", ".join(known)):
+        require_choice(f"key of {where}", key, known)
+    return value
+
+
 def in_checkout() -> bool:
     """Return whether this code is in a checkout of the project, not in an installed wheel."""
     return (Path(__file__).parents[2] / "constraints.txt").is_file()

@@ -8,8 +8,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from cvqmpt_lab.base.codec import from_plain
-from cvqmpt_lab.base.errors import InvalidInputError
-from cvqmpt_lab.base.readers import known_fields
+from cvqmpt_lab.base.errors import InvalidInputError, known_fields
 from cvqmpt_lab.base.values import FULL_TURN_RAD, MAX_LENGTH_M, Array, FloatArray
 
 

@@ -11,7 +11,6 @@ from cvqmpt_lab.base.errors import (
     CvqmptError,
     InvalidInputError,
     at,
-    mapping,
     require_choice,
     shown,
 )
@@ -65,13 +64,6 @@ def parsing(path: Path, what: str) -> Iterator[None]:
         if not isinstance(error, CvqmptError):  # own messages end with the cure
             said = said[:200]
         raise InvalidInputError(f"{what} {path} cannot be parsed: {said}") from error
-
-
-def known_fields(value: Any, where: str, known: Collection[str]) -> Mapping[str, Any]:
-    """Return `value` if it is a JSON object with fields of `known` alone; else refuse it."""
-    for key in mapping(value, where, ", ".join(known)):
-        require_choice(f"key of {where}", key, known)
-    return value
 
 
 def listed(value: Any, what: str) -> Sequence[Any]:

@@ -7,9 +7,15 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from cvqmpt_lab.base.errors import InvalidInputError, at, located, mapping, require_choice
+from cvqmpt_lab.base.errors import (
+    InvalidInputError,
+    at,
+    known_fields,
+    located,
+    mapping,
+    require_choice,
+)
 from cvqmpt_lab.base.files import read_text, yaml_value
-from cvqmpt_lab.base.readers import known_fields
 from cvqmpt_lab.base.values import scalar
 
 Limits = Mapping[str, Mapping[str, float]]

@@ -16,6 +16,7 @@ from cvqmpt_lab.base.codec import from_plain
 from cvqmpt_lab.base.errors import (
     InvalidInputError,
     UnknownChoiceError,
+    known_fields,
     located,
     mapping,
     require_choice,
@@ -23,7 +24,7 @@ from cvqmpt_lab.base.errors import (
 )
 from cvqmpt_lab.base.files import yaml_value
 from cvqmpt_lab.base.poses import Placement, ros_vector
-from cvqmpt_lab.base.readers import field_of, known_fields, listed, read_by_suffix
+from cvqmpt_lab.base.readers import field_of, listed, read_by_suffix
 from cvqmpt_lab.base.values import FloatArray, numbers, scalar
 from cvqmpt_lab.robot.source import mesh_path
 from cvqmpt_lab.scene.mesh_files import MAX_TRIANGLES, convex_pieces, read_mesh

@@ -304,8 +304,8 @@ test_jit.test_right_arrays_pass_and_compiled_callers_see_the_kernel_itself()
 
 
 def test_what_calls_an_entry_that_was_read_from_disk_is_compiled(tmp_path):
-    tests = Path(__file__).parent
-    paths = os.pathsep.join(map(str, (tests, tests / "helpers", tests.parent)))
+    here, tests = Path(__file__).parent, Path(__file__).parents[1]
+    paths = os.pathsep.join(map(str, (here, tests / "helpers", tests.parent)))
     how = {"NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": paths}
     said = [python(CALLER, **how).split() for _ in range(2)]
     assert said == [["4.0", "True"], ["4.0", "False"]]

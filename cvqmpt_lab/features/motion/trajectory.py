@@ -28,9 +28,16 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.base.errors import InvalidInputError, mapping, require_choice, shown, unique
+from cvqmpt_lab.base.errors import (
+    InvalidInputError,
+    known_fields,
+    mapping,
+    require_choice,
+    shown,
+    unique,
+)
 from cvqmpt_lab.base.files import csv_table, finite, json_value, write_text, yaml_value
-from cvqmpt_lab.base.readers import kind_of, known_fields, read_by_suffix
+from cvqmpt_lab.base.readers import kind_of, read_by_suffix
 from cvqmpt_lab.base.values import numbers
 from cvqmpt_lab.features.motion.bags import is_bag, message_of_bag
 from cvqmpt_lab.features.motion.ros_messages import joint_trajectory, nanoseconds

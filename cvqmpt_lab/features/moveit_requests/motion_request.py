@@ -19,6 +19,7 @@ import numpy as np
 from cvqmpt_lab.base.errors import (
     InvalidInputError,
     at,
+    known_fields,
     located,
     mapping,
     require_choice,
@@ -28,7 +29,7 @@ from cvqmpt_lab.base.errors import (
 from cvqmpt_lab.base.files import json_value, yaml_value
 from cvqmpt_lab.base.polyline import cut, nearest_places
 from cvqmpt_lab.base.poses import pose, ros_vector
-from cvqmpt_lab.base.readers import field_of, known_fields, listed, read_by_suffix
+from cvqmpt_lab.base.readers import field_of, listed, read_by_suffix
 from cvqmpt_lab.base.values import scalar
 from cvqmpt_lab.certificate.between_states import largest_violation
 from cvqmpt_lab.certificate.certificate import (

@@ -13,10 +13,17 @@ from typing import Any
 import numpy as np
 
 from cvqmpt_lab.base.codec import from_plain, to_plain
-from cvqmpt_lab.base.errors import InvalidInputError, located, mapping, shown, whole_number
+from cvqmpt_lab.base.errors import (
+    InvalidInputError,
+    known_fields,
+    located,
+    mapping,
+    shown,
+    whole_number,
+)
 from cvqmpt_lab.base.files import json_value, write_bytes, write_text, yaml_value
 from cvqmpt_lab.base.poses import Placement, Pose, PoseForm, rigid, ros_vector
-from cvqmpt_lab.base.readers import known_fields, read_by_suffix
+from cvqmpt_lab.base.readers import read_by_suffix
 from cvqmpt_lab.base.values import Array, FloatArray
 from cvqmpt_lab.scene.cloud_files import Cloud, check_lengths, read_array, read_cloud
 from cvqmpt_lab.scene.scene import log, refuse_far_poses
