@@ -3,6 +3,8 @@
 The library does not import them: they are entry points of this distribution, like planners of any
 other package. They support one upright constraint and one goal. Only hpp supports loads, also in
 two hands.
+
+Command: ``cvqmpt reproduce peers``. Extra: `peers`. Page: docs/your_planner.md.
 """
 
 from dataclasses import replace

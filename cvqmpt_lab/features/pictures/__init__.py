@@ -1,5 +1,10 @@
 """Pictures without a display, films, web pages, and recordings for rerun.
 
+`bodies` is the one drawing of robot, scene and path; `raster` and `picture` make images and films of
+it, `web_page` a page, `recording` a file for rerun. `draw` takes any of our objects.
+
+Command: ``cvqmpt plan --picture plan.png --save plan.html``. Extra: none. Page: docs/gallery.md.
+
 If this package is imported in IPython, notebooks show robots, scenes, problems, tasks and their
 solutions as pictures. Outside of IPython it imports nothing.
 """
