@@ -1,7 +1,7 @@
 """Pictures without a display, films, web pages, and recordings for rerun.
 
-`bodies` is the one drawing of robot, scene and path; `raster` and `picture` make images and films of
-it, `web_page` a page, `recording` a file for rerun. `draw` takes any of our objects.
+`bodies` is the one drawing of robot, scene and path; `raster` and `picture` make images and films
+of it, `web_page` a page, `recording` a file for rerun. `draw` takes any of our objects.
 
 Command: ``cvqmpt plan --picture plan.png --save plan.html``. Extra: none. Page: docs/gallery.md.
 
