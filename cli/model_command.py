@@ -162,7 +162,7 @@ def train(args: argparse.Namespace) -> None:
     """Train a network, and show its loss and the remaining time."""
     require_installed("torch", "cvqmpt train", "train")
     from cvqmpt_lab.training.profiles import Profile, profile_named
-    from cvqmpt_lab.training.trainer import run_training
+    from cvqmpt_lab.training.trainer import Effort, run_training
 
     profile = profile_named(args.profile)
     if args.config is not None:
@@ -182,10 +182,7 @@ def train(args: argparse.Namespace) -> None:
         args.out,
         dictionary=args.dictionary,
         seed=args.seed,
-        epochs=args.epochs,
-        minutes=args.minutes,
-        workers=args.workers,
-        device=args.device,
+        effort=Effort(args.epochs, args.minutes, args.workers, args.device),
         metadata={"command": command, "provenance": origin},
         report=ProgressBar(args.stage),
     )

@@ -60,7 +60,19 @@ def _mcvamp(name: str) -> Suite:
 
 def scene_suites() -> list[Suite]:
     """Suites of other scenes, constraints and arms."""
-    benched = ("birrt", "roadmap", "ompl-projected")  # the last is RRTConnect without constraint
+    return [
+        *_families(),
+        *_constraints(),
+        *_more_constraints(),
+        *_door_and_passages(),
+        *map(_mcvamp, ("line", "plane", "maze")),
+        *_arms(),
+        *_sensed_and_unconstrained(),
+    ]
+
+
+def _families() -> list[Suite]:
+    """Suites of held-out scenes, a family each."""
     return [
         _family("cubes-spheres", "scenes of cubes and balls"),
         _family("table", "scenes with a table"),
@@ -73,6 +85,12 @@ def scene_suites() -> list[Suite]:
         _family("cluttered-table", "tables crowded with slim things"),
         _family("narrow-shelves", "shelves that a hand just fits into"),
         _family("cage", "cages of bars"),
+    ]
+
+
+def _constraints() -> list[Suite]:
+    """The suite of eight kinds of constraints."""
+    return [
         Suite(
             name="constraints",
             title="Eight kinds of constraints, zero-shot, in held-out scenes",
@@ -99,7 +117,12 @@ def scene_suites() -> list[Suite]:
                 ),
             ),
         ),
-        *_more_constraints(),
+    ]
+
+
+def _door_and_passages() -> list[Suite]:
+    """Suites of one hard kind of problem each."""
+    return [
         Suite(
             name="open-door",
             title="Open the shelf's door, the hand on its handle",
@@ -134,7 +157,13 @@ def scene_suites() -> list[Suite]:
                 ),
             ),
         ),
-        *map(_mcvamp, ("line", "plane", "maze")),
+    ]
+
+
+def _arms() -> list[Suite]:
+    """Suites of other arms, and of problems that others wrote."""
+    benched = ("birrt", "roadmap", "ompl-projected")  # the last is RRTConnect without constraint
+    return [
         Suite(
             name="robots",
             title="Nine arms of seven makers in held-out scenes, hand upright",
@@ -170,6 +199,12 @@ def scene_suites() -> list[Suite]:
             planners=benched,
             table=table_maker("motion_bench_table:motion_bench_table"),
         ),
+    ]
+
+
+def _sensed_and_unconstrained() -> list[Suite]:
+    """Suites of scanned scenes, and of problems without a constraint."""
+    return [
         Suite(
             name="sensor",
             title="Scanned scenes, hand upright: planned in the map, judged in truth",

@@ -1,6 +1,6 @@
 """Template of a task, with comments: an arm opens a drawer or a door within its reach."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -167,6 +167,7 @@ def _task(
     # a hand that less than six joints move cannot go sideways and stay turned as it is
     aside = place.side * 0.25 * reach if hold.robot.dof > 5 else 0.0
     away = (-0.3 * reach, aside, 0.1 * reach)
+    phases = _phases(hold, what, hand, handle, region, (approach, pull), away)
     return {
         "$schema": "task.schema.json",
         "schema": Task.SCHEMA,
@@ -190,35 +191,59 @@ def _task(
             ],
         },
         "start": [0.0] * hold.robot.dof,
-        "phases": [
-            {"kind": "move", "name": "reach", "goal": {"pose": {"at": hand(-approach)}}},
-            _slide("approach", approach, hold),
-            {
-                "_comment": TASK_COMMENTS["hold"],
-                "kind": "hold",
-                "name": "close",
-                "articulation": what,
-                "gripper": dict(hold.closed),
-                "may_touch": [[piece, handle] for piece in hold.touching],
-            },
-            {
-                "kind": "turn",
-                "name": "pull",
-                "value": round(pull, 3),
-                "constraint": {"_comment": TASK_COMMENTS["turn"], **region},
-                "goal": region,
-            },
-            {"kind": "release", "name": "let-go", "gripper": dict(hold.opened)},
-            _slide("back", -approach, hold),
-            {
-                "_comment": TASK_COMMENTS["away"],
-                "kind": "move",
-                "name": "away",
-                "through": [{"pose": {"at": hand(away[0], 0.0, away[2]), "position": 0.02}}],
-                "goal": {"pose": {"at": hand(*away), "position": 0.02}},
-            },
-        ],
+        "phases": phases,
     }
+
+
+def _phases(
+    hold: Grip,
+    what: Furniture,
+    hand: Callable[..., dict[str, Any]],
+    handle: str,
+    region: Mapping[str, Any],
+    lengths: tuple[float, float],
+    away: tuple[float, float, float],
+) -> list[dict[str, Any]]:
+    """Return json of the phases: reach, hold, pull, let go, and move away.
+
+    Args:
+        hold: grip of the handle.
+        what: furniture that the arm opens.
+        hand: pose of the hand, as json, at an offset (x, y, z) [m] from the handle.
+        handle: name of the handle's object.
+        region: region of the hand that holds the handle.
+        lengths: of the approach [m], and value of the joint that is pulled [m or rad].
+        away: offset of the hand at the end [m].
+    """
+    approach, pull = lengths
+    return [
+        {"kind": "move", "name": "reach", "goal": {"pose": {"at": hand(-approach)}}},
+        _slide("approach", approach, hold),
+        {
+            "_comment": TASK_COMMENTS["hold"],
+            "kind": "hold",
+            "name": "close",
+            "articulation": what,
+            "gripper": dict(hold.closed),
+            "may_touch": [[piece, handle] for piece in hold.touching],
+        },
+        {
+            "kind": "turn",
+            "name": "pull",
+            "value": round(pull, 3),
+            "constraint": {"_comment": TASK_COMMENTS["turn"], **region},
+            "goal": region,
+        },
+        {"kind": "release", "name": "let-go", "gripper": dict(hold.opened)},
+        _slide("back", -approach, hold),
+        {
+            "_comment": TASK_COMMENTS["away"],
+            "kind": "move",
+            "name": "away",
+            "through": [{"pose": {"at": hand(away[0], 0.0, away[2]), "position": 0.02}}],
+            "goal": {"pose": {"at": hand(*away), "position": 0.02}},
+        },
+    ]
 
 
 def _aside(hold: Grip, T_world_room: np.ndarray, T_room_hand: np.ndarray) -> float:

@@ -142,25 +142,36 @@ class _LeastSearch:
         return LeastDistance(distance, max(0.0, distance - self.lower), pair, self._q)
 
 
+class _Effort(NamedTuple):
+    """How finely a motion is cut into stretches; lengths are half of a stretch's."""
+
+    longest: float = 0.2  # length of the first stretches [rad]
+    finest: float = 1e-7  # length at which a stretch with a free middle is not cut further [rad]
+    coarse: float = 1e-4  # replaces `finest` after an unproven stretch or `max_fine_checks` [rad]
+    doubtful: float = 0.01  # from here on, an unproven stretch's middle is checked [rad]
+    # Limit on checks of stretches shorter than `coarse`, about 0.2 s. Without it, a motion
+    # micrometres above an obstacle would take hours.
+    max_fine_checks: int = 4000
+    most_at_once: int = 64  # stretches in one call; few, as a collision makes the rest useless
+    # number of checks, or ten for each of the first stretches, after which the relative tolerance
+    # of the least distance doubles
+    checks: int = 200
+    far: float = 0.01  # distance that long stretches keep without a search for the least one [m]
+    rate: float = 0.05  # that distance per length of shorter stretches [m/rad]
+
+
+_USUAL = _Effort()
+
+
 def _prove(
     line: Polyline,
     parts: int,
     clear: Callable[..., Cleared],
     least: _LeastSearch | None,
     margin: float,
-    longest: float = 0.2,
-    finest: float = 1e-7,
-    coarse: float = 1e-4,
-    doubtful: float = 0.01,
-    max_fine_checks: int = 4000,
-    most_at_once: int = 64,
-    effort: int = 200,
-    far: float = 0.01,
-    rate: float = 0.05,
+    effort: _Effort = _USUAL,
 ) -> MotionProof:
     """Prove stretch after stretch with `CollisionChecker.clear_of_obstacles` or `clear_of_itself`.
-
-    Lengths are half of a stretch's.
 
     Args:
         line: the motion.
@@ -168,22 +179,10 @@ def _prove(
         clear: one of these two methods.
         least: search for the least distance, or None.
         margin: margin of the checker [m].
-        longest: length of the first stretches [rad].
-        finest: length at which a stretch with a free middle is not cut further [rad].
-        coarse: replaces `finest` after an unproven stretch or `max_fine_checks` [rad].
-        doubtful: length from which on the middle of an unproven stretch is checked for collision
-            [rad].
-        max_fine_checks: limit on checks of stretches shorter than `coarse`, about 0.2 s. Without
-            it, a motion micrometres above an obstacle would take hours.
-        most_at_once: number of stretches in one call; few, as a collision makes the rest useless.
-        effort: number of checks, or ten for each of the first stretches, after which the relative
-            tolerance of the least distance doubles.
-        far: distance that long stretches are proven to keep without a search for the least one [m].
-        rate: that distance per length of shorter stretches, so that it costs few more checks
-            [m/rad].
+        effort: lengths of stretches and numbers of checks.
     """
     half_length = 0.5 * line.length
-    count = max(1, int(np.ceil(half_length / longest)))
+    count = max(1, int(np.ceil(half_length / effort.longest)))
     # begin and half the length of each stretch, and number of its parts that are proven
     half = half_length / count
     ahead = deque((2.0 * k * half, half, 0) for k in range(count))
@@ -191,20 +190,20 @@ def _prove(
     kept = np.inf
     unproven: Unproven | None = None
     while ahead:
-        batch = [ahead.popleft() for _ in range(min(most_at_once, len(ahead)))]
+        batch = [ahead.popleft() for _ in range(min(effort.most_at_once, len(ahead)))]
         begins, halves, known = np.array(batch).T
         middles, hulls = line.stretches(begins, halves)
-        aims = np.minimum(far, rate * halves)
+        aims = np.minimum(effort.far, effort.rate * halves)
         if least:
-            aims[:] = aim = least.aim(checks // max(effort, 10 * count))
+            aims[:] = aim = least.aim(checks // max(effort.checks, 10 * count))
             least.lower = min(least.lower, aim)
-        found = clear(middles, hulls, known.astype(int), aims, halves <= doubtful)
+        found = clear(middles, hulls, known.astype(int), aims, halves <= effort.doubtful)
         left: list[tuple[float, float, int]] = []
         columns = (values.tolist() for values in (aims, *found))
         results = zip(batch, middles, hulls, *columns, strict=True)
         for (begin, half, _), middle, hull, aim, free, motion, hit in results:
             checks += 1
-            fine += half < coarse
+            fine += half < effort.coarse
             if free == parts:
                 kept = min(kept, max(aim, margin))
                 continue
@@ -213,10 +212,14 @@ def _prove(
             if least and motion < 0.5 * least.found.distance:
                 # the middle may be the closest so far; no state is closer by more than `motion`
                 reached = least.measure(middle) - motion
-                if reached > margin and reached >= least.aim(checks // max(effort, 10 * count)):
+                if reached > margin and reached >= least.aim(
+                    checks // max(effort.checks, 10 * count)
+                ):
                     least.lower, kept = min(least.lower, reached), min(kept, reached)
                     continue
-            if half > (coarse if unproven or fine > max_fine_checks else finest):
+            if half > (
+                effort.coarse if unproven or fine > effort.max_fine_checks else effort.finest
+            ):
                 left += (begin, 0.5 * half, free), (begin + half, 0.5 * half, free)
                 continue
             if least:

@@ -9,7 +9,7 @@ import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping, Sequence
 from itertools import combinations
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import coal
 import numpy as np
@@ -189,6 +189,21 @@ OVERLAP = "overlap in "
 Pair = tuple[str, str]
 
 
+class _Sampling(NamedTuple):
+    """Random configurations by which pairs that nearly always overlap are found."""
+
+    samples: int = 2000  # number of configurations
+    always: float = 0.95  # a pair that overlaps in this share of them is left out
+    # a pair is dismissed after `few` configurations if its share is below `always` by more than
+    # this: five standard deviations
+    spread: float = 0.15
+    few: int = 50
+    contact: float = 1e-6  # distance [m] that counts as overlap; with 0, coal misses 1.3 mm
+
+
+_USUAL = _Sampling()
+
+
 def left_out_pairs(
     model: pin.Model,
     geometry: pin.GeometryModel,
@@ -196,11 +211,7 @@ def left_out_pairs(
     kinematics: Kinematics,
     urdf: Urdf,
     srdf: str,
-    samples: int = 2000,
-    always: float = 0.95,
-    spread: float = 0.15,
-    few: int = 50,
-    contact: float = 1e-6,
+    sampling: _Sampling = _USUAL,
 ) -> tuple[LeftOut, ...]:
     """Return the link pairs that are not checked: those of an SRDF, else by the rule at the top.
 
@@ -211,12 +222,7 @@ def left_out_pairs(
         kinematics: the joints as arrays.
         urdf: content of the URDF.
         srdf: path of an SRDF, or "".
-        samples: number of random configurations.
-        always: a pair that overlaps in this share of the configurations is left out.
-        spread: a pair is dismissed after `few` configurations if its share is below `always` by
-            more than this: five standard deviations.
-        few: number of configurations after which most pairs are dismissed.
-        contact: distance [m] that counts as overlap; with 0, coal misses overlaps of 1.3 mm.
+        sampling: random configurations.
     """
     if srdf:
         names = dict.fromkeys(model.frames[i.parentFrame].name for i in geometry.geometryObjects)
@@ -240,13 +246,13 @@ def left_out_pairs(
         if a == b:
             reasons[pair] = "fixed to each other"
     lower, upper = kinematics.lower, kinematics.upper
-    states = np.random.default_rng(0).uniform(lower, upper, (samples, len(lower)))
+    states = np.random.default_rng(0).uniform(lower, upper, (sampling.samples, len(lower)))
     robot = model, geometry, links, kinematics, pieces
     others = [pair for pair in every if pair not in reasons]
-    first = _touching(*robot, others, states[:few], contact)
-    often = [pair for pair, hit in first.items() if hit.mean() >= always - spread]
-    for pair, hit in _touching(*robot, often, states, contact).items():
-        if hit.mean() >= always:
+    first = _touching(*robot, others, states[: sampling.few], sampling.contact)
+    often = [pair for pair, hit in first.items() if hit.mean() >= sampling.always - sampling.spread]
+    for pair, hit in _touching(*robot, often, states, sampling.contact).items():
+        if hit.mean() >= sampling.always:
             reasons[pair] = f"{OVERLAP}{100.0 * hit.mean():.4g} % of random states"
     return tuple(LeftOut(*pair, reasons[pair]) for pair in every if pair in reasons)
 

@@ -290,25 +290,7 @@ def held_joints(
     for name in end_effectors:
         require_choice("end-effector frame", name, urdf.links)
     movable = {joint.name: joint for joint in urdf.joints.values() if joint.kind != "fixed"}
-    held = {}
-    for name, value in locked.items():
-        require_choice("joint to lock", name, movable)
-        number = scalar(float, value, f"locked value [rad or m] of joint {name!r}")
-        if movable[name].kind != "prismatic" and abs(number) > FULL_TURN_RAD:
-            raise InvalidInputError(
-                f"joint {name!r} cannot be locked at {number:g} rad, more than 2 pi: degrees? "
-                "Give radians"
-            )
-        lower, upper = movable[name].lower, movable[name].upper
-        # equal limits are placeholders
-        limited = movable[name].kind in ("revolute", "prismatic") and lower < upper
-        if limited and not lower - 1e-6 <= number <= upper + 1e-6:
-            raise InvalidInputError(
-                f"joint {name!r} cannot be locked at {number:g}, outside its limits [{lower:g}, "
-                f"{upper:g}] in {urdf.path.name}: give a value inside [rad or m], or correct its "
-                "<limit>"
-            )
-        held[name] = HeldJoint(name, number, "locked by name")
+    held = {name: _lock(urdf, movable, name, value) for name, value in locked.items()}
     chains = {name: {joint.name for joint in urdf.chain(name)} for name in end_effectors}
     chain = set[str]().union(*chains.values())
     free = {name: joint for name, joint in movable.items() if name not in held}
@@ -366,6 +348,27 @@ def held_joints(
         tuple(held[name] for name in movable if name in held),
         tuple(followers[name] for name in movable if name in followers),
     )
+
+
+def _lock(urdf: Urdf, movable: Mapping[str, Joint], name: str, value: float) -> HeldJoint:
+    """Return a joint that is held at a value [rad or m] by its name."""
+    require_choice("joint to lock", name, movable)
+    number = scalar(float, value, f"locked value [rad or m] of joint {name!r}")
+    if movable[name].kind != "prismatic" and abs(number) > FULL_TURN_RAD:
+        raise InvalidInputError(
+            f"joint {name!r} cannot be locked at {number:g} rad, more than 2 pi: degrees? "
+            "Give radians"
+        )
+    lower, upper = movable[name].lower, movable[name].upper
+    # equal limits are placeholders
+    limited = movable[name].kind in ("revolute", "prismatic") and lower < upper
+    if limited and not lower - 1e-6 <= number <= upper + 1e-6:
+        raise InvalidInputError(
+            f"joint {name!r} cannot be locked at {number:g}, outside its limits [{lower:g}, "
+            f"{upper:g}] in {urdf.path.name}: give a value inside [rad or m], or correct its "
+            "<limit>"
+        )
+    return HeldJoint(name, number, "locked by name")
 
 
 def _warn_of_lock(urdf: Urdf, lock: HeldJoint, held: Mapping[str, HeldJoint]) -> None:

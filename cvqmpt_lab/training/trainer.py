@@ -21,7 +21,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
 import torch
@@ -69,6 +69,18 @@ class Progress:
     finished: bool = False  # whether all epochs are done; else the time limit stopped the training
 
 
+class Effort(NamedTuple):
+    """How long a training runs, and on what."""
+
+    epochs: int | None = None  # total number of epochs; None for the profile's
+    minutes: float | None = None  # time limit of this call; None for no limit
+    workers: int = 0  # number of processes that prepare batches
+    device: str = "auto"  # cpu, cuda, or auto for a GPU if there is one
+
+
+WHOLE = Effort()
+
+
 def run_training(
     stage: str,
     profile: Profile,
@@ -77,10 +89,7 @@ def run_training(
     *,
     dictionary: Path | None = None,
     seed: int = 0,
-    epochs: int | None = None,
-    minutes: float | None = None,
-    workers: int = 0,
-    device: str = "auto",
+    effort: Effort = WHOLE,
     metadata: Mapping[str, Any],
     report: Report = lambda done, total, note: None,
 ) -> Progress:
@@ -94,10 +103,7 @@ def run_training(
         dictionary: folder of a training of stage 1 or of weights, for sequence models; None for
             the shipped dictionary.
         seed: seed of all random numbers.
-        epochs: total number of epochs; None for the profile's.
-        minutes: time limit of this call; None for no limit.
-        workers: number of processes that prepare batches.
-        device: cpu, cuda, or auto for a GPU if there is one.
+        effort: how long, and on what.
         metadata: json values that are stored with the model.
         report: called after each batch.
 
@@ -108,7 +114,7 @@ def run_training(
         KeyboardInterrupt: after Ctrl-C or SIGTERM; the state is saved before.
     """
     seed = whole_number("seed", seed)
-    made = profile.stage(stage, data, dictionary, seed, _device(device))
+    made = profile.stage(stage, data, dictionary, seed, _device(effort.device))
     dataset = made.dataset
     plain = to_plain(profile, complete=True)
     epochs_of_profile = plain[stage].pop("epochs")
@@ -124,12 +130,12 @@ def run_training(
             paths["train_paths"],
         )
     stored = {**settings, "kinematics": to_plain(dataset.chain), **paths, **metadata}
-    epochs = epochs_of_profile if epochs is None else epochs
-    trainer = Trainer(made, out, epochs, workers, stored)
+    epochs = epochs_of_profile if effort.epochs is None else effort.epochs
+    trainer = Trainer(made, out, epochs, effort.workers, stored)
     with locked(make_folder(out)):
         open_folder(out, settings)
         recover_weights(out / TRAINED_FOLDER)
-        return trainer.train(minutes, report)
+        return trainer.train(effort.minutes, report)
 
 
 def open_folder(folder: Path, settings: Mapping[str, Any]) -> None:

@@ -20,7 +20,7 @@ from cvqmpt_lab.training.generation import generate
 from cvqmpt_lab.training.profiles import PROFILES, Profile
 from cvqmpt_lab.training.roadmap_labels import RoadmapRecipe
 from cvqmpt_lab.training.stage import OptimizerSettings
-from cvqmpt_lab.training.trainer import run_training
+from cvqmpt_lab.training.trainer import Effort, run_training
 from cvqmpt_lab.vqmpt.checkpoint import load_checkpoint, save_checkpoint
 from cvqmpt_lab.vqmpt.weights import VQ_MPT, RobotSignature, resolve_model
 
@@ -77,8 +77,10 @@ def published_dictionary(tmp_path_factory, data):
 
 
 def go(stage, data, out, profile=TINY, report=lambda *progress: None, **options):
-    settings = {"device": "cpu", "metadata": {"command": ["test"]}, "report": report, **options}
-    return run_training(stage, profile, data, out, **settings)
+    effort = {key: options.pop(key) for key in Effort._fields if key in options}
+    settings = {"metadata": {"command": ["test"]}, "report": report, **options}
+    effort = Effort(**({"device": "cpu"} | effort))
+    return run_training(stage, profile, data, out, effort=effort, **settings)
 
 
 def curves(out):

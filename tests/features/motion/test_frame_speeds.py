@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from features.motion.test_trajectory import random_motion
 from refusals import refused
-from trajectory.test_trajectory import random_motion
 
 from cvqmpt_lab.certificate.certificate import FaultKind
 from cvqmpt_lab.features.motion.frame_speeds import FrameSpeeds, with_frame_limits
