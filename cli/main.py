@@ -17,6 +17,7 @@ from typing import Any, NoReturn
 
 from cvqmpt_lab.base.arithmetic import without_library_tuning
 from cvqmpt_lab.base.errors import CvqmptError, InvalidInputError, UnknownChoiceError, nearest
+from cvqmpt_lab.cli.options import NOTES
 
 COMMANDS = {  # by name: NAME of the module cvqmpt_lab.cli.NAME_command, and a summary
     "plan": ("plan", "plan one problem and print a short report"),
@@ -78,7 +79,7 @@ THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
 EXAMPLES = """examples:
   cvqmpt plan place-task --problem 7 --planner birrt --seed 0
-  cvqmpt plan --problem-file mine.json --planner birrt --save run.rrd
+  cvqmpt plan mine.json --planner birrt --save run.rrd
   cvqmpt reproduce place-task --problems 20 --seeds 1 --out runs/small
   cvqmpt table runs/small
 
@@ -177,8 +178,19 @@ def _parsed(argv: list[str]) -> argparse.Namespace:
     if Parser.shows_all:
         argv = ["--help" if word == "--help-all" else word for word in argv]
     parser = parser_with([command] if command else ())
+    if command is not None:
+        known = _options_of(parser, command)
+        given = {word.partition("=")[0] for word in argv if word.startswith("--")}
+        if given - {*known} or command == "bench":
+            from cvqmpt_lab.cli.old_spellings import refuse_old  # few commands need it
+
+            refuse_old(command, argv, known)
     args, unknown = parser.parse_known_args(argv)
+    if unknown and command is not None:
+        unknown = _placed(parser, args, unknown)
     if unknown:
+        if getattr(args, "suite", None) is not None and not unknown[0].startswith("-"):
+            raise InvalidInputError(f"{args.suite} and {unknown[0]}: give one suite or file")
         raise InvalidInputError(
             f"unknown arguments: {' '.join(unknown)}{_hint(parser, args.command, unknown[0])}; "
             f"cvqmpt {args.command} --help lists all options"
@@ -186,19 +198,77 @@ def _parsed(argv: list[str]) -> argparse.Namespace:
     return args
 
 
+def _placed(parser: Parser, args: argparse.Namespace, unknown: list[str]) -> list[str]:
+    """Store words behind options as positionals, which argparse reads only before; return others.
+
+    Args:
+        parser: the parser.
+        args: what it has read; it is changed.
+        unknown: words that it has not read.
+    """
+    if any(word.startswith("-") for word in unknown):
+        return unknown  # a word may be the value of an unknown option
+    (commands,) = (a for a in parser._actions if isinstance(a, argparse._SubParsersAction))
+    left = list[str]()
+    for word in unknown:
+        for action in commands.choices[args.command]._actions:
+            own = getattr(args, action.dest, None)
+            kind: Any = action.type or str
+            if action.option_strings or action.nargs not in ("?", "+"):
+                continue
+            if action.nargs == "+":
+                setattr(args, action.dest, [*(own or ()), kind(word)])
+                break
+            if own == action.default:
+                setattr(args, action.dest, kind(word))
+                break
+        else:
+            left.append(word)
+    return left
+
+
 def _hint(parser: Parser, command: str, word: str) -> str:
     """Return "; did you mean OPTION?" for an unknown option that resembles one, or ""."""
-    (commands,) = (a for a in parser._actions if isinstance(a, argparse._SubParsersAction))
-    actions = commands.choices[command]._actions
-    known = [name for action in actions for name in action.option_strings]
+    known = _options_of(parser, command)
     same = [name for name in OTHER_WORDS.get(word, "").split() if name in known]
     return f"; did you mean {same[0]!r}?" if same else nearest(word, known)
 
 
+def _where(message: str, argv: list[str]) -> str:
+    """Return the command that has the options of a message that this command lacks, or ""."""
+    command = next((word for word in argv if word in COMMANDS), None)
+    named = re.findall(r"(?<![\w-])--[a-z]+(?:-[a-z]+)*", message)
+    told = ("cvqmpt robot", "cvqmpt scan", "unknown option", "unknown arguments")
+    if command is None or not named or any(words in message for words in told):
+        return ""
+    from cvqmpt_lab.cli.old_spellings import ROBOT_OPTIONS, SCAN_OPTIONS, WITH_ROBOT, Line
+
+    own = _options_of(parser_with([command]), command)
+    for name in named:
+        if name in ROBOT_OPTIONS and name not in own and command in WITH_ROBOT:
+            robot = Line(command, argv).value("--robot", otherwise="") or Line(command, argv).file
+            return (
+                f"; write it into a robot file: cvqmpt robot {robot or 'NAME|URDF'} {name} ... "
+                "--out robot.json; then give --robot robot.json"
+            )
+        if name in SCAN_OPTIONS and name not in own and command == "plan":
+            return f"; {name} is an option of cvqmpt scan, whose --out plan reads"
+    return ""
+
+
+def _options_of(parser: Parser, command: str) -> list[str]:
+    """Return the options of a command."""
+    (commands,) = (a for a in parser._actions if isinstance(a, argparse._SubParsersAction))
+    actions = commands.choices[command]._actions
+    return [name for action in actions for name in action.option_strings]
+
+
 def main(argv: list[str] | None = None) -> int:
     """Run a command and return its exit code; errors of the package print one line and give 2."""
+    argv = sys.argv[1:] if argv is None else argv
+    NOTES.clear()
     try:
-        args = _parsed(sys.argv[1:] if argv is None else argv)
+        args = _parsed(argv)
         if not gc.isenabled():  # see entry_point
             gc.freeze()
             gc.enable()
@@ -207,10 +277,12 @@ def main(argv: list[str] | None = None) -> int:
 
             allow_code()
         code = command_named(args.command)[0](args)
+        for note in NOTES:
+            print(note, file=sys.stderr)
         sys.stdout.flush()
         return code or 0  # most commands return None
     except CvqmptError as error:
-        print(f"cvqmpt: {error}", file=sys.stderr)
+        print(f"cvqmpt: {error}{_where(str(error), argv)}", file=sys.stderr)
         return 2
     except MemoryError as error:
         print(f"cvqmpt: out of memory ({error}); finished results are kept", file=sys.stderr)
