@@ -10,8 +10,9 @@ import io
 import os
 import re
 import sys
+import textwrap
 import traceback
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -19,41 +20,62 @@ from cvqmpt_lab.base.arithmetic import without_library_tuning
 from cvqmpt_lab.base.errors import CvqmptError, InvalidInputError, UnknownChoiceError, nearest
 from cvqmpt_lab.cli.options import NOTES
 
-COMMANDS = {  # by name: NAME of the module cvqmpt_lab.cli.NAME_command, and a summary
-    "plan": ("plan", "plan one problem and print a short report"),
-    "certify": ("certify", "certify a path or trajectory, or all paths of a run again"),
-    "follow": ("follow", "move the hand along straight lines through poses"),
-    "execute": ("execute", "execute a motion or task in a physics simulation"),
-    "studio": ("plan", "drag start, goal and obstacles in the browser; the path is planned again"),
-    "reproduce": ("reproduce", "run a suite of problems or tasks and write its rows and tables"),
-    "figure": ("reproduce", "make a figure of the paper, with its numbers"),
-    "claims": (
-        "tables",
-        "judge every claim of the paper by rows, and write the page of claims",
-    ),
-    "report": ("tables", "write one html file about results: verdicts, tables, plots, rows"),
-    "compare": ("tables", "list what changed between two runs of the same problems"),
-    "table": ("tables", "render the tables of a results directory"),
-    "problems": ("problems", "list or export the problems of a suite, or write a template"),
-    "scan": ("scan", "make a clean cloud or a scene from depth images or clouds"),
-    "ik": ("problems", "find configurations for a pose or region, for a problem file"),
-    "fk": ("problems", "print the pose of the hand at a configuration"),
-    "robot": (
-        "robot",
-        "print the model read from a robot's description, or list the robots known by name",
-    ),
-    "check-tables": ("tables", "repeat a few runs and compare them with committed expectations"),
-    "data": ("data", "make training paths"),
-    "train": ("model", "train the dictionary, the sequence model or MPNet"),
-    "model": ("model", "show weights, convert published ones"),
-    "bench": (
-        "setup",
-        "measure the time of each planning stage, how it grows with scene and robot size, and the "
-        "time of one state check in the paper's simulator",
-    ),
-    "warmup": ("setup", "compile all kernels ahead of time"),
-    "doctor": ("setup", "list what is installed, what is missing and how to install it"),
+# By heading of `cvqmpt --help` and by name: NAME of the module cvqmpt_lab.cli.NAME_command, and a
+# summary.
+HEADINGS: Mapping[str, Mapping[str, tuple[str, str]]] = {
+    "make a problem": {
+        "problems": ("problems", "list or export the problems of a suite, or write a template"),
+        "scan": ("scan", "make a clean cloud or a scene from depth images or clouds"),
+        "robot": (
+            "robot",
+            "print a robot's model, write a robot file, or list the robots known by name",
+        ),
+        "fk": ("problems", "print the pose of the hand at a configuration"),
+        "ik": ("problems", "find configurations for a pose or region, for a problem file"),
+    },
+    "plan": {
+        "plan": ("plan", "plan one problem and print a short report"),
+        "follow": ("follow", "move the hand along straight lines through poses"),
+        "studio": (
+            "plan",
+            "drag start, goal and obstacles in the browser; the path is planned again",
+        ),
+    },
+    "judge and run": {
+        "certify": ("certify", "certify a path or trajectory, or all paths of a run again"),
+        "execute": ("execute", "execute a motion or task in a physics simulation"),
+    },
+    "reproduce": {
+        "reproduce": (
+            "reproduce",
+            "run a suite of problems or tasks and write its rows and tables",
+        ),
+        "figure": ("reproduce", "make a figure of the paper, with its numbers"),
+        "claims": (
+            "tables",
+            "judge every claim of the paper by rows, and write the page of claims",
+        ),
+        "report": ("tables", "write one html file about results: verdicts, tables, plots, rows"),
+        "compare": ("tables", "list what changed between two runs of the same problems"),
+        "table": ("tables", "render the tables of a results directory"),
+        "check-tables": (
+            "tables",
+            "repeat a few runs and compare them with committed expectations",
+        ),
+        "bench": (
+            "setup",
+            "measure the times of planning stages, and of a check in the paper's simulator",
+        ),
+        "warmup": ("setup", "compile all kernels ahead of time"),
+        "doctor": ("setup", "list what is installed, what is missing and how to install it"),
+    },
+    "learn": {
+        "data": ("data", "make training paths"),
+        "train": ("model", "train the dictionary, the sequence model or MPNet"),
+        "model": ("model", "show weights, convert published ones"),
+    },
 }
+COMMANDS = {name: told for commands in HEADINGS.values() for name, told in commands.items()}
 
 # Options of other programs, and the options here with the same meaning.
 OTHER_WORDS = {
@@ -100,17 +122,31 @@ class Parser(argparse.ArgumentParser):
         raise InvalidInputError(f"{message}; {self.prog} --help lists all options")
 
     def format_help(self) -> str:
-        """Return the help of a command, with its examples."""
+        """Return the help of a command, with its examples, or of all commands under headings."""
         command = self.prog.partition(" ")[2]
+        if not command:
+            return f"{self.format_usage()}\n{self.description}\n\n{_headings()}\n{self.epilog}\n"
         if command in SHORT and not self.shows_all:
             known = SHORT[command].split()
             self.usage = f"{self.prog} [SUITE|FILE] [options]; --help-all shows every option"
             for action in self._actions:
                 if not {*action.option_strings, action.dest} & {*known}:
                     action.help = argparse.SUPPRESS
-        if command:
-            self.epilog = "\n  ".join(["examples:", *examples_of(command)])
+        self.epilog = "\n  ".join(["examples:", *examples_of(command)])
         return super().format_help()
+
+
+def _headings() -> str:
+    """Return the lines of the commands under their headings."""
+    lines, wide = list[str](), 16
+    for heading, commands in HEADINGS.items():
+        lines.append(f"{heading}:")
+        for name, (_, summary) in commands.items():
+            text = textwrap.wrap(summary, 98 - wide)
+            lines.append(f"  {name:{wide - 2}}{text[0]}")
+            lines += [" " * wide + more for more in text[1:]]
+        lines.append("")
+    return "\n".join(lines)
 
 
 class Version(argparse.Action):

@@ -182,8 +182,8 @@ OPTIONS: Options = {
         metavar="FILE.png|jpg|pdf",
     ),
     "--out": option(
-        "write the robot with these options to a file for --robot of other commands, or for the "
-        "field robot of a problem file",
+        "write the robot with these options to a file, for other commands or for the field robot "
+        "of a problem file",
         type=partial(file_of_kind, "--out", (".json",)),
         metavar="robot.json",
     ),
