@@ -101,7 +101,7 @@ def _quoted(word: str) -> str:
 def _alone(line: Line, given: Given) -> str:
     """Return the cure of an option whose value is now a word alone."""
     value = given.values[0] if given.values else "FILE"
-    more = "PATH " if line.command == "certify" else ""
+    more = {"certify": "PATH ", "scan": "SCAN ", "follow": "POSES.csv "}.get(line.command, "")
     return f"write {value} alone: cvqmpt {line.command} {more}{value}"
 
 
@@ -130,6 +130,11 @@ def _scan(line: Line, given: Given) -> str:
     words = [option.spelled for option in options]
     if all(option.name != "--arm-at" for option in options):
         words.append(f"--arm-at {line.value('--start', otherwise='Q')}")
+    if line.file is not None and not files:
+        return (
+            f"write cvqmpt scan SCAN {' '.join(words)} --out scene.json; then name it in "
+            f'{line.file}: "scene": "scene.json"'
+        )
     motion = line.options(("--start", "--start-pose", "--goal", "--goal-pose"))
     kind, out = ("--scene", "scene.json") if motion else ("--cloud", "clean.pcd")
     instead = "" if kind == "--cloud" else " instead of --cloud"
@@ -161,7 +166,10 @@ WITH_ROBOT = (
 # by option: the commands that had it, and its cure
 OLD: Mapping[str, tuple[Collection[str], Cure]] = {
     **dict.fromkeys(ROBOT_OPTIONS, (WITH_ROBOT, _robot)),
-    "--problem-file": (("plan", "execute", "certify", "studio", "ik"), _alone),
+    "--problem-file": (
+        ("plan", "execute", "certify", "studio", "ik", "fk", "scan", "follow"),
+        _alone,
+    ),
     "--task-file": (("plan", "execute", "certify"), _alone),
     "--problems-dir": (("certify", "reproduce"), _alone),
     **dict.fromkeys(SCAN_OPTIONS, (("plan",), _scan)),
