@@ -16,6 +16,7 @@ from cvqmpt_lab.base.files import csv_table, read_json_object, write_text
 from cvqmpt_lab.base.values import Array, FloatArray
 from cvqmpt_lab.cli.options import (
     FLAG,
+    REPEATED,
     Options,
     file_of_kind,
     log,
@@ -28,8 +29,6 @@ from cvqmpt_lab.cli.problem_arguments import (
     chosen_problem,
     chosen_robot,
     end_velocities,
-    robot_source,
-    with_tool_speed,
 )
 from cvqmpt_lab.cli.problem_options import PROBLEM, ROBOT, velocity_options
 from cvqmpt_lab.features.motion.bags import is_bag
@@ -49,21 +48,21 @@ def run(args: argparse.Namespace) -> int:
     """Certify and print; return 1 if anything is refused or not proven."""
     if args.path.is_dir() and not is_bag(args.path):
         why = "goes with one motion; give its file"
-        refuse_given(args, ["clearance_out", "save", "request", "scene"], why)
+        refuse_given(args, ["save", "request", "scene"], why)
     if (args.path / "task.json").is_file():
         return _certify_task(args)
     if args.path.is_dir() and not is_bag(args.path):
-        of_one = ["topic", "tool_speed", "constraint", "tolerance", "problem"]
+        of_one = ["topic", "constraint", "tolerance", "problem"]
         of_one += ["start_velocity", "end_velocity", "part"]
         refuse_given(args, of_one, "goes with one motion; give its file")
-        of_file = (args.suite, args.problem_file, args.task_file, args.current, args.clearance)
-        if any(given is not None for given in of_file) or robot_source(args):
+        folder = None if args.suite is None else Path(args.suite)
+        of_file = (args.robot, args.current, args.clearance)
+        if any(given is not None for given in of_file) or not (folder or args.path).is_dir():
             raise InvalidInputError(
-                "the rows of a run name their problems and robots; give the directory alone"
+                "the rows of a run name their problems and robots; give the directory alone, or "
+                "with the folder of its problem files"
             )
-        return _certify_run(args.path, args.problems_dir, args.json)
-    why = "goes with the directory of a run; name one file: --problem-file"
-    refuse_given(args, ["problems_dir"], why)
+        return _certify_run(args.path, folder, args.json)
     motion = read_motion(args.path, args.topic)
     if args.request is not None:
         return _told(args, motion, *_by_request(args, motion))
@@ -85,20 +84,18 @@ def _told(
     """Print a judgement; return the exit code."""
     contents = record(problem, motion, judged.check, judged.speed)
     lines, check = report_lines(judged.check, contents), judged.check
-    shown = args.clearance_out is not None or args.save is not None
-    if shown and not np.isfinite(check.states).all():
-        raise InvalidInputError(
-            "the motion has states that are not finite: leave --clearance-out and --save out"
-        )
-    if args.clearance_out is not None:
-        rows = clearance_along(problem, check)
-        write_text(args.clearance_out, csv_table([ClearanceAt._fields, *rows]))
-    if args.save is not None:
+    if args.save and not np.isfinite(check.states).all():
+        raise InvalidInputError("the motion has states that are not finite: leave --save out")
+    for path in args.save:
+        if path.suffix == ".csv":
+            rows = clearance_along(problem, check)
+            write_text(path, csv_table([ClearanceAt._fields, *rows]))
+            continue
         from cvqmpt_lab.features.pictures.web_page import path_html  # needed for pages alone
 
         moments, states = evenly(check, 200)
         times, verdict = (None if check.times is None else moments), lines[0].partition(";")[0]
-        write_text(args.save, path_html(problem, states, verdict, times=times, lines=lines))
+        write_text(path, path_html(problem, states, verdict, times=times, lines=lines))
     print(json.dumps(contents, indent=1, allow_nan=False) if args.json else "\n".join(lines))
     return 0 if judged.certified else 1
 
@@ -111,12 +108,12 @@ def _by_request(args: argparse.Namespace, motion: Motion) -> tuple[PlanningProbl
         standing_frame,
     )
 
-    if any((args.suite, args.problem_file, args.task_file)):
+    if args.suite:
         raise InvalidInputError("--request states start, goals and constraint; give no problem")
     unused = ["current", "start_velocity", "end_velocity", "part", "clearance", "tolerance"]
     unused += ["constraint", "problem"]
     refuse_given(args, unused, "does not go with --request, which states what the motion must keep")
-    robot, scene = with_tool_speed(args, chosen_robot(args)), Scene("no scene", ())
+    robot, scene = chosen_robot(args), Scene("no scene", ())
     request = read_request(args.request, robot)
     if args.scene is None:
         log("no --scene is given: the motion is compared with the robot itself alone")
@@ -152,7 +149,6 @@ def _ends(args: argparse.Namespace, motion: Motion, problem: PlanningProblem) ->
 
 def _certify_task(args: argparse.Namespace) -> int:
     """Certify the motions of all phases of a task, in a folder of plan --trajectory."""
-    refuse_given(args, ["problems_dir"], "goes with the directory of a run; leave it out")
     why = "goes with one motion; a task states where it begins"
     refuse_given(args, ["current", "tolerance"], why)
     refuse_given(args, ["topic"], "goes with a recording; leave it out")
@@ -263,12 +259,15 @@ OPTIONS: Options = {
         metavar="PATH.csv|json|yaml|npz|mcap|DIR",
     ),
     **PROBLEM,
-    "--task-file": option(
-        "task whose motions plan --trajectory wrote to PATH", type=Path, metavar="T.json"
+    "suite": option(
+        "a suite (cvqmpt problems list), or a problem or task file; for the directory of a run of "
+        "problem files, their folder",
+        nargs="?",
+        metavar="SUITE|FILE|DIR",
     ),
-    "another robot for --problem-file": ROBOT,
+    **ROBOT,
     "--request": option(
-        "MoveIt's MotionPlanRequest or Constraints instead of a problem, for --robot or --urdf",
+        "MoveIt's MotionPlanRequest or Constraints instead of a problem, for --robot",
         type=Path,
         metavar="R.yaml|json",
     ),
@@ -282,19 +281,13 @@ OPTIONS: Options = {
         "motions",
         metavar="NAME",
     ),
-    "--problems-dir": option(
-        "folder of the problem files, for the directory of a run of them", type=Path, metavar="DIR"
-    ),
-    "--clearance-out": option(
-        "write the distances from obstacles and of the robot from itself at 200 states, evenly in "
-        "time",
-        type=partial(file_of_kind, "--clearance-out", (".csv",)),
-        metavar="OUT.csv",
-    ),
     "--save": option(
-        "write a page for a browser: the motion, its distances along time and this report",
-        type=partial(file_of_kind, "--save", (".html",)),
-        metavar="MOTION.html",
+        "write a page for a browser: the motion, its distances along time and this report; or as "
+        "csv the distances from obstacles and of the robot from itself at 200 states, evenly in "
+        "time; repeatable",
+        type=partial(file_of_kind, "--save", (".html", ".csv")),
+        metavar="MOTION.html|CLEARANCE.csv",
+        **REPEATED,
     ),
     "--current": option(
         "current configuration of the arm, in quotes [rad]; the motion must begin there",

@@ -84,6 +84,6 @@ OPTIONS: Options = {
     "--out": option(
         "folder of the data; continued if it exists", type=Path, required=True, metavar="DIR"
     ),
-    "another robot than the Panda": ROBOT,
+    **ROBOT,
 }
 COMMANDS = {"data": (run, OPTIONS)}

@@ -23,7 +23,7 @@ from cvqmpt_lab.cli.options import (
 )
 from cvqmpt_lab.cli.plan_command import FILM_SUFFIX
 from cvqmpt_lab.cli.problem_arguments import budget, chosen_problem, margin_of_task
-from cvqmpt_lab.cli.problem_options import BUDGET, MARGIN, PROBLEM, ROBOT, bodies_option
+from cvqmpt_lab.cli.problem_options import BUDGET, MARGIN, PROBLEM, ROBOT
 from cvqmpt_lab.features.motion.limit_use import share_text
 from cvqmpt_lab.features.motion.motion_check import certified_motion, dry_run, with_limits_of
 from cvqmpt_lab.features.motion.timing import TimingSettings
@@ -187,7 +187,7 @@ def _at_speed(args: argparse.Namespace) -> str:
 
 def _planned(args: argparse.Namespace, problem: PlanningProblem) -> Trajectory:
     """Return a certified motion of a problem."""
-    margin = Margin(args.margin, args.margin_angle).check()
+    margin = Margin(*args.margin).check()
     settings = TimingSettings(speed=_speed(args))
     problem.robot.joint_limits.scaled(_speed(args))
     method = planner_named(default_planner(problem)[0])
@@ -224,8 +224,7 @@ def _read(
 
 OPTIONS: Options = {
     **PROBLEM,
-    "another robot for --problem-file": ROBOT,
-    "--task-file": option("a task file instead", type=Path, metavar="T.json"),
+    **ROBOT,
     "--motion": option(
         "a motion for the problem, as written by plan --trajectory; without it one is planned",
         type=Path,
@@ -258,7 +257,6 @@ OPTIONS: Options = {
         type=partial(file_of_kind, "--film", (FILM_SUFFIX,)),
         metavar="RUN.gif",
     ),
-    **bodies_option(),
     "--json": option("print one json object instead of the report", **FLAG),
 }
 COMMANDS = {"execute": (run, OPTIONS)}

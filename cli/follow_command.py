@@ -8,19 +8,20 @@ from pathlib import Path
 
 import numpy as np
 
+from cvqmpt_lab.base.codec import from_plain
 from cvqmpt_lab.base.errors import InvalidInputError, located
-from cvqmpt_lab.base.files import csv_table, read_text, write_text
+from cvqmpt_lab.base.files import csv_table, read_json_object, read_text, write_text
 from cvqmpt_lab.base.poses import Placement
 from cvqmpt_lab.base.values import bound_text
-from cvqmpt_lab.cli.options import SEED, Options, file_of_kind, one_or_two, option
-from cvqmpt_lab.cli.problem_arguments import chosen_robot, configuration
+from cvqmpt_lab.cli.options import FLAG, SEED, Options, file_of_kind, log, one_or_two, option
+from cvqmpt_lab.cli.problem_arguments import chosen_robot, configuration, named_file
 from cvqmpt_lab.cli.problem_options import ROBOT
 from cvqmpt_lab.features.lines.follow_lines import follow_lines, timed
 from cvqmpt_lab.features.motion.timing import TimingSettings
 from cvqmpt_lab.features.motion.trajectory import save_trajectory
 from cvqmpt_lab.robot.robot import SLOW_SPEED
-from cvqmpt_lab.scene.scene import Scene, refuse_far_poses
-from cvqmpt_lab.scene.scene_files import read_scene
+from cvqmpt_lab.scene.scene import NamedScene, Scene, refuse_far_poses
+from cvqmpt_lab.scene.scene_files import read_scene, with_files_read
 
 
 def run(args: argparse.Namespace) -> int:
@@ -28,9 +29,10 @@ def run(args: argparse.Namespace) -> int:
     if args.speed is not None and args.trajectory is None:
         raise InvalidInputError(f"--speed {args.speed:g} goes with --trajectory OUT.csv; give it")
     args.speed = SLOW_SPEED if args.speed is None else args.speed
-    robot = chosen_robot(args)
-    scene = Scene("free space", ()) if args.scene is None else read_scene(args.scene)
-    start = None if args.start is None else configuration(robot, "--start", args.start)
+    file = None if args.file is None else named_file(str(args.file))
+    robot = chosen_robot(args, file)
+    scene = _scene(args.scene, file)
+    start = None if args.start is None else configuration(robot, "--start", args.start, file)
     poses = poses_of(args.poses)
     metres, radians = [*args.tolerance, 0.01][:2]
     legs = follow_lines(robot, scene, poses, metres, radians, start, args.seed)
@@ -54,6 +56,20 @@ def run(args: argparse.Namespace) -> int:
     told = {"joint_names": robot.joint_names, "states": states.tolist(), "certified": True}
     print(json.dumps(told) if args.json else "\n".join(lines))
     return 0
+
+
+def _scene(path: Path | None, file: Path | None) -> Scene:
+    """Return the obstacles of --scene, or else of a problem or task file, or none."""
+    if path is not None:
+        return read_scene(path)
+    if file is None:
+        return Scene("free space", ())
+    with located(f"{file}"):
+        data = with_files_read(read_json_object(file, "problem file"), file.parent)
+        unused = [name for name in ("constraint", "attachments") if data.get(name)]
+        if unused:
+            log(f"{file}: {' and '.join(unused)} are not used; only robot and scene are")
+        return from_plain(NamedScene, data.get("scene"), "scene")
 
 
 def poses_of(path: Path) -> list[np.ndarray]:
@@ -87,10 +103,17 @@ OPTIONS: Options = {
         type=Path,
         metavar="POSES.csv",
     ),
-    "the robot (panda)": ROBOT,
-    "--scene": option("obstacles (none)", type=Path, metavar="S.json"),
+    "file": option(
+        "problem or task file with the robot and the obstacles",
+        type=Path,
+        nargs="?",
+        metavar="FILE",
+    ),
+    **ROBOT,
+    "--scene": option("obstacles (those of the file, or none)", type=Path, metavar="S.json"),
     "--start": option(
-        "configuration at the first pose (any that is free), numbers separated by commas",
+        "configuration at the first pose, numbers separated by commas, or start or goal of the "
+        "file (any that is free)",
         metavar="Q",
     ),
     "--tolerance": option(
@@ -114,6 +137,6 @@ OPTIONS: Options = {
         metavar="FACTOR",
     ),
     **SEED,
-    "--json": option("print one json object instead", action="store_true"),
+    "--json": option("print one json object instead of the report", **FLAG),
 }
 COMMANDS = {"follow": (run, OPTIONS)}

@@ -10,49 +10,72 @@ import io
 import os
 import re
 import sys
+import textwrap
 import traceback
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any, NoReturn
 
 from cvqmpt_lab.base.arithmetic import without_library_tuning
 from cvqmpt_lab.base.errors import CvqmptError, InvalidInputError, UnknownChoiceError, nearest
+from cvqmpt_lab.cli.options import NOTES
 
-COMMANDS = {  # by name: NAME of the module cvqmpt_lab.cli.NAME_command, and a summary
-    "plan": ("plan", "plan one problem and print a short report"),
-    "certify": ("certify", "certify a path or trajectory, or all paths of a run again"),
-    "follow": ("follow", "move the hand along straight lines through poses"),
-    "execute": ("execute", "execute a motion or task in a physics simulation"),
-    "studio": ("plan", "drag start, goal and obstacles in the browser; the path is planned again"),
-    "reproduce": ("reproduce", "run a suite of problems or tasks and write its rows and tables"),
-    "figure": ("reproduce", "make a figure of the paper, with its numbers"),
-    "claims": (
-        "tables",
-        "judge every claim of the paper by rows, and write the page of claims",
-    ),
-    "report": ("tables", "write one html file about results: verdicts, tables, plots, rows"),
-    "compare": ("tables", "list what changed between two runs of the same problems"),
-    "table": ("tables", "render the tables of a results directory"),
-    "problems": ("problems", "list or export the problems of a suite, or write a template"),
-    "scan": ("scan", "make a clean cloud or a scene from depth images or clouds"),
-    "ik": ("problems", "find configurations for a pose or region, for a problem file"),
-    "fk": ("problems", "print the pose of the hand at a configuration"),
-    "robot": (
-        "robot",
-        "print the model read from a robot's description, or list the robots known by name",
-    ),
-    "check-tables": ("tables", "repeat a few runs and compare them with committed expectations"),
-    "data": ("data", "make training paths"),
-    "train": ("model", "train the dictionary, the sequence model or MPNet"),
-    "model": ("model", "show weights, convert published ones"),
-    "bench": (
-        "setup",
-        "measure the time of each planning stage, how it grows with scene and robot size, and the "
-        "time of one state check in the paper's simulator",
-    ),
-    "warmup": ("setup", "compile all kernels ahead of time"),
-    "doctor": ("setup", "list what is installed, what is missing and how to install it"),
+# By heading of `cvqmpt --help` and by name: NAME of the module cvqmpt_lab.cli.NAME_command, and a
+# summary.
+HEADINGS: Mapping[str, Mapping[str, tuple[str, str]]] = {
+    "make a problem": {
+        "problems": ("problems", "list or export the problems of a suite, or write a template"),
+        "scan": ("scan", "make a clean cloud or a scene from depth images or clouds"),
+        "robot": (
+            "robot",
+            "print a robot's model, write a robot file, or list the robots known by name",
+        ),
+        "fk": ("problems", "print the pose of the hand at a configuration"),
+        "ik": ("problems", "find configurations for a pose or region, for a problem file"),
+    },
+    "plan": {
+        "plan": ("plan", "plan one problem and print a short report"),
+        "follow": ("follow", "move the hand along straight lines through poses"),
+        "studio": (
+            "plan",
+            "drag start, goal and obstacles in the browser; the path is planned again",
+        ),
+    },
+    "judge and run": {
+        "certify": ("certify", "certify a path or trajectory, or all paths of a run again"),
+        "execute": ("execute", "execute a motion or task in a physics simulation"),
+    },
+    "reproduce": {
+        "reproduce": (
+            "reproduce",
+            "run a suite of problems or tasks and write its rows and tables",
+        ),
+        "figure": ("reproduce", "make a figure of the paper, with its numbers"),
+        "claims": (
+            "tables",
+            "judge every claim of the paper by rows, and write the page of claims",
+        ),
+        "report": ("tables", "write one html file about results: verdicts, tables, plots, rows"),
+        "compare": ("tables", "list what changed between two runs of the same problems"),
+        "table": ("tables", "render the tables of a results directory"),
+        "check-tables": (
+            "tables",
+            "repeat a few runs and compare them with committed expectations",
+        ),
+        "bench": (
+            "setup",
+            "measure the times of planning stages, and of a check in the paper's simulator",
+        ),
+        "warmup": ("setup", "compile all kernels ahead of time"),
+        "doctor": ("setup", "list what is installed, what is missing and how to install it"),
+    },
+    "learn": {
+        "data": ("data", "make training paths"),
+        "train": ("model", "train the dictionary, the sequence model or MPNet"),
+        "model": ("model", "show weights, convert published ones"),
+    },
 }
+COMMANDS = {name: told for commands in HEADINGS.values() for name, told in commands.items()}
 
 # Options of other programs, and the options here with the same meaning.
 OTHER_WORDS = {
@@ -78,7 +101,7 @@ THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
 EXAMPLES = """examples:
   cvqmpt plan place-task --problem 7 --planner birrt --seed 0
-  cvqmpt plan --problem-file mine.json --planner birrt --save run.rrd
+  cvqmpt plan mine.json --planner birrt --save run.rrd
   cvqmpt reproduce place-task --problems 20 --seeds 1 --out runs/small
   cvqmpt table runs/small
 
@@ -99,17 +122,31 @@ class Parser(argparse.ArgumentParser):
         raise InvalidInputError(f"{message}; {self.prog} --help lists all options")
 
     def format_help(self) -> str:
-        """Return the help of a command, with its examples."""
+        """Return the help of a command, with its examples, or of all commands under headings."""
         command = self.prog.partition(" ")[2]
+        if not command:
+            return f"{self.format_usage()}\n{self.description}\n\n{_headings()}\n{self.epilog}\n"
         if command in SHORT and not self.shows_all:
             known = SHORT[command].split()
             self.usage = f"{self.prog} [SUITE|FILE] [options]; --help-all shows every option"
             for action in self._actions:
                 if not {*action.option_strings, action.dest} & {*known}:
                     action.help = argparse.SUPPRESS
-        if command:
-            self.epilog = "\n  ".join(["examples:", *examples_of(command)])
+        self.epilog = "\n  ".join(["examples:", *examples_of(command)])
         return super().format_help()
+
+
+def _headings() -> str:
+    """Return the lines of the commands under their headings."""
+    lines, wide = list[str](), 16
+    for heading, commands in HEADINGS.items():
+        lines.append(f"{heading}:")
+        for name, (_, summary) in commands.items():
+            text = textwrap.wrap(summary, 98 - wide)
+            lines.append(f"  {name:{wide - 2}}{text[0]}")
+            lines += [" " * wide + more for more in text[1:]]
+        lines.append("")
+    return "\n".join(lines)
 
 
 class Version(argparse.Action):
@@ -177,8 +214,19 @@ def _parsed(argv: list[str]) -> argparse.Namespace:
     if Parser.shows_all:
         argv = ["--help" if word == "--help-all" else word for word in argv]
     parser = parser_with([command] if command else ())
+    if command is not None:
+        known = _options_of(parser, command)
+        given = {word.partition("=")[0] for word in argv if word.startswith("--")}
+        if given - {*known} or command == "bench":
+            from cvqmpt_lab.cli.old_spellings import refuse_old  # few commands need it
+
+            refuse_old(command, argv, known)
     args, unknown = parser.parse_known_args(argv)
+    if unknown and command is not None:
+        unknown = _placed(parser, args, unknown)
     if unknown:
+        if getattr(args, "suite", None) is not None and not unknown[0].startswith("-"):
+            raise InvalidInputError(f"{args.suite} and {unknown[0]}: give one suite or file")
         raise InvalidInputError(
             f"unknown arguments: {' '.join(unknown)}{_hint(parser, args.command, unknown[0])}; "
             f"cvqmpt {args.command} --help lists all options"
@@ -186,19 +234,77 @@ def _parsed(argv: list[str]) -> argparse.Namespace:
     return args
 
 
+def _placed(parser: Parser, args: argparse.Namespace, unknown: list[str]) -> list[str]:
+    """Store words behind options as positionals, which argparse reads only before; return others.
+
+    Args:
+        parser: the parser.
+        args: what it has read; it is changed.
+        unknown: words that it has not read.
+    """
+    if any(word.startswith("-") for word in unknown):
+        return unknown  # a word may be the value of an unknown option
+    (commands,) = (a for a in parser._actions if isinstance(a, argparse._SubParsersAction))
+    left = list[str]()
+    for word in unknown:
+        for action in commands.choices[args.command]._actions:
+            own = getattr(args, action.dest, None)
+            kind: Any = action.type or str
+            if action.option_strings or action.nargs not in ("?", "+"):
+                continue
+            if action.nargs == "+":
+                setattr(args, action.dest, [*(own or ()), kind(word)])
+                break
+            if own == action.default:
+                setattr(args, action.dest, kind(word))
+                break
+        else:
+            left.append(word)
+    return left
+
+
 def _hint(parser: Parser, command: str, word: str) -> str:
     """Return "; did you mean OPTION?" for an unknown option that resembles one, or ""."""
-    (commands,) = (a for a in parser._actions if isinstance(a, argparse._SubParsersAction))
-    actions = commands.choices[command]._actions
-    known = [name for action in actions for name in action.option_strings]
+    known = _options_of(parser, command)
     same = [name for name in OTHER_WORDS.get(word, "").split() if name in known]
     return f"; did you mean {same[0]!r}?" if same else nearest(word, known)
 
 
+def _where(message: str, argv: list[str]) -> str:
+    """Return the command that has the options of a message that this command lacks, or ""."""
+    command = next((word for word in argv if word in COMMANDS), None)
+    named = re.findall(r"(?<![\w-])--[a-z]+(?:-[a-z]+)*", message)
+    told = ("cvqmpt robot", "cvqmpt scan", "unknown option", "unknown arguments")
+    if command is None or not named or any(words in message for words in told):
+        return ""
+    from cvqmpt_lab.cli.old_spellings import ROBOT_OPTIONS, SCAN_OPTIONS, WITH_ROBOT, Line
+
+    own = _options_of(parser_with([command]), command)
+    for name in named:
+        if name in ROBOT_OPTIONS and name not in own and command in WITH_ROBOT:
+            robot = Line(command, argv).value("--robot", otherwise="") or Line(command, argv).file
+            return (
+                f"; write it into a robot file: cvqmpt robot {robot or 'NAME|URDF'} {name} ... "
+                "--out robot.json; then give --robot robot.json"
+            )
+        if name in SCAN_OPTIONS and name not in own and command == "plan":
+            return f"; {name} is an option of cvqmpt scan, whose --out plan reads"
+    return ""
+
+
+def _options_of(parser: Parser, command: str) -> list[str]:
+    """Return the options of a command."""
+    (commands,) = (a for a in parser._actions if isinstance(a, argparse._SubParsersAction))
+    actions = commands.choices[command]._actions
+    return [name for action in actions for name in action.option_strings]
+
+
 def main(argv: list[str] | None = None) -> int:
     """Run a command and return its exit code; errors of the package print one line and give 2."""
+    argv = sys.argv[1:] if argv is None else argv
+    NOTES.clear()
     try:
-        args = _parsed(sys.argv[1:] if argv is None else argv)
+        args = _parsed(argv)
         if not gc.isenabled():  # see entry_point
             gc.freeze()
             gc.enable()
@@ -207,10 +313,12 @@ def main(argv: list[str] | None = None) -> int:
 
             allow_code()
         code = command_named(args.command)[0](args)
+        for note in NOTES:
+            print(note, file=sys.stderr)
         sys.stdout.flush()
         return code or 0  # most commands return None
     except CvqmptError as error:
-        print(f"cvqmpt: {error}", file=sys.stderr)
+        print(f"cvqmpt: {error}{_where(str(error), argv)}", file=sys.stderr)
         return 2
     except MemoryError as error:
         print(f"cvqmpt: out of memory ({error}); finished results are kept", file=sys.stderr)

@@ -112,9 +112,15 @@ def refuse_changed(args: argparse.Namespace, options: Options, why: str) -> None
         value = getattr(args, name.lstrip("-").replace("-", "_"))
         flag = settings.get("action") == "store_true"
         if value != settings.get("default", False if flag else None):
-            # values that argparse has changed are not shown
+            if isinstance(value, tuple):  # of --margin and --cost
+                mark = ":" if isinstance(value[-1], str) else ","
+                value = mark.join(map(str, value))
+            # values that argparse has changed otherwise are not shown
             shown = isinstance(value, str | int | float | Path) and not flag
             raise InvalidInputError(f"{name} {value} {why}" if shown else f"{name} {why}")
+
+
+NOTES: list[str] = []  # printed on standard error at the end of a command that is not refused
 
 
 def log(text: str) -> None:

@@ -17,7 +17,6 @@ from cvqmpt_lab.cli.options import (
     picture_file,
     positive,
     rate,
-    writable_file,
 )
 from cvqmpt_lab.cli.problem_options import (
     BUDGET,
@@ -26,8 +25,6 @@ from cvqmpt_lab.cli.problem_options import (
     PROBLEM,
     REGIONS,
     ROBOT,
-    SCAN,
-    bodies_option,
     optimize_option,
     velocity_options,
 )
@@ -38,16 +35,15 @@ OPTIMIZE_S = 0.25
 RECORDING_SUFFIX = ".rrd"
 FILM_SUFFIX = ".gif"
 PAGE_SUFFIX = ".html"
+STATES_SUFFIX = ".csv"
+SAVED_SUFFIXES = (PAGE_SUFFIX, RECORDING_SUFFIX, FILM_SUFFIX, STATES_SUFFIX)
 
 
 OPTIONS: Options = {
     **PROBLEM,
     **REGIONS,
-    "another robot for --problem-file, or for --start and --goal": ROBOT,
+    **ROBOT,
     **MARGIN,
-    "--task-file": option(
-        "a task instead, whose phases are planned one after another", type=Path, metavar="T.json"
-    ),
     "--planner": option(
         f"one of {', '.join((*PlannerGroups.every, *PlannerGroups.in_ompl))}, or "
         "package.module:planner (roadmap; birrt for a task or a held mechanism)"
@@ -55,14 +51,16 @@ OPTIONS: Options = {
     **WEIGHTS,
     **REACH,
     "--cloud": option(
-        "scan whose points are obstacles for --start and --goal; with a suite or a problem file, "
-        "the input cloud of a network; repeatable",
+        "cloud whose points are obstacles for --start and --goal, as cvqmpt scan writes it, or in "
+        "the robot's base frame; with a suite or file, the input cloud of a network; repeatable",
         type=Path,
-        metavar="SCAN.pcd|ply|npy|xyz|png",
+        metavar="SCAN.pcd|ply|npy|xyz",
         **REPEATED,
     ),
     "--scene": option(
-        "obstacles for --start and --goal, instead of --cloud", type=Path, metavar="S.json"
+        "obstacles for --start and --goal, as cvqmpt scan writes them, instead of --cloud",
+        type=Path,
+        metavar="S.json",
     ),
     "--project-start": option("move the start onto the constraint first (Algorithm 1)", **FLAG),
     **SEED,
@@ -74,7 +72,6 @@ OPTIONS: Options = {
     "--json": option("print one json object instead of the report", **FLAG),
     "-v --verbose": option("log the stages of planning on standard error", **FLAG),
     **MOTION,
-    **SCAN,
     **BUDGET,
     **optimize_option(f"; {OPTIMIZE_S:g}, 0: none"),
     "pictures": {
@@ -84,13 +81,13 @@ OPTIONS: Options = {
             metavar="P.png|jpg|pdf",
         ),
         "--save": option(
-            "a page for a browser, a rerun recording, or a film",
-            type=partial(file_of_kind, "--save", (PAGE_SUFFIX, RECORDING_SUFFIX, FILM_SUFFIX)),
-            metavar="RUN.html|rrd|gif",
+            "a page for a browser, a rerun recording, a film, or the states of the path; "
+            "repeatable",
+            type=partial(file_of_kind, "--save", SAVED_SUFFIXES),
+            metavar="RUN.html|rrd|gif|csv",
+            **REPEATED,
         ),
-        **bodies_option(),
     },
-    "--save-path": option("write the path's states as csv", type=writable_file, metavar="PATH.csv"),
     "--trajectory": option(
         "write the fastest motion along the path within --speed, json for ROS; for a task, a "
         "folder with one file for each phase",
@@ -122,9 +119,8 @@ OPTIONS: Options = {
 
 STUDIO: Options = {
     **PROBLEM,
-    **bodies_option(),
     "--port": option("port of the page, 0: any (8090)", type=not_negative_int, default=8090),
-    "robot of a problem file, or of a template problem": ROBOT,
+    **ROBOT,
 }
 COMMANDS = {
     "plan": (Imported("cvqmpt_lab.cli.plan_runs:run"), OPTIONS),

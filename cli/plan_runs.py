@@ -10,8 +10,10 @@ import re
 import signal
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cvqmpt_lab.base.errors import InvalidInputError, few
@@ -24,11 +26,10 @@ from cvqmpt_lab.cli.options import (
     ProgressBar,
     as_json,
     compiling,
-    refuse_changed,
     refuse_given,
     writable_file,
 )
-from cvqmpt_lab.cli.plan_command import FILM_SUFFIX, OPTIMIZE_S, PAGE_SUFFIX, RECORDING_SUFFIX
+from cvqmpt_lab.cli.plan_command import FILM_SUFFIX, OPTIMIZE_S, PAGE_SUFFIX, STATES_SUFFIX
 from cvqmpt_lab.cli.problem_arguments import (
     budget,
     chosen_problem,
@@ -38,9 +39,8 @@ from cvqmpt_lab.cli.problem_arguments import (
     name_file,
     optimize_budget,
     robot_source,
-    with_limits,
+    with_clearance,
 )
-from cvqmpt_lab.cli.problem_options import SCAN
 from cvqmpt_lab.features.tasks.task import Task
 from cvqmpt_lab.planning.margins import Kept, Margin, kept_by, solve_keeping
 from cvqmpt_lab.planning.planners import default_planner, planner_named
@@ -78,10 +78,6 @@ def run(args: argparse.Namespace) -> int:
     print(as_json(report) if isinstance(report, dict) else "\n".join(report))
     # with --json, standard output holds the json object alone
     say = partial(print, file=sys.stderr if args.json else sys.stdout)
-    if args.save_path and isinstance(solution, Solution) and solution.path:
-        rows = solution.problem.robot.joint_names, *solution.path.states.tolist()
-        write_text(args.save_path, csv_table(rows))
-        say(f"path written to {args.save_path}")
     if args.trajectory:
         say(
             _write_trajectory(args, solution)
@@ -102,10 +98,12 @@ def _solved_problem(
     planner, why = (args.planner, "") if args.planner else default_planner(problem)
     method = planner_named(planner, args.model, args.reach)
     if args.cloud and not motion_given(args):
-        from cvqmpt_lab.cli.scan_command import arm_of, scanned
+        from cvqmpt_lab.cli.motion_arguments import scanned
+        from cvqmpt_lab.features.scan.scan import Arm
 
         # obstacles are those of the suite or file; the cloud is the input of a network
-        method = method.with_cloud(scanned(args, arm_of(args, problem.robot, problem.start)).points)
+        made = scanned(args.cloud, Arm(problem.robot, problem.start))
+        method = method.with_cloud(made.points)
     if args.trajectory:
         from cvqmpt_lab.base.readers import kind_of
         from cvqmpt_lab.features.motion.trajectory import TRAJECTORY_WRITERS
@@ -114,7 +112,7 @@ def _solved_problem(
         kind_of(writable_file(args.trajectory), TRAJECTORY_WRITERS, "trajectory")
         problem.robot.joint_limits.scaled(args.speed)
     velocities = end_velocities(args, problem.robot)
-    margin = Margin(args.margin, args.margin_angle).check()
+    margin = Margin(*args.margin).check()
     warm_up(problem, method, args.backend)
     if args.verbose:
         logging.basicConfig(format="%(name)s: %(message)s", level=logging.INFO)
@@ -161,8 +159,12 @@ def _solved_task(
     from cvqmpt_lab.features.motion.timing import TimingSettings
     from cvqmpt_lab.features.tasks.solve import solve_task, task_data, task_lines
 
-    of_problems = ("cloud", "optimize", "save_path", "project_start")
+    of_problems = ("cloud", "optimize", "project_start")
     refuse_given(args, of_problems, "does not go with a task; leave it out")
+    if any(path.suffix == STATES_SUFFIX for path in args.save):
+        raise InvalidInputError(
+            "--save PATH.csv does not go with a task; --trajectory DIR writes its motions"
+        )
     folder = args.trajectory
     if folder is not None:
         if folder.suffix or folder.is_file():
@@ -186,24 +188,17 @@ def _solved_task(
 def _problem_or_task(args: argparse.Namespace) -> PlanningProblem | Task:
     """Return the problem or task that the command line names."""
     name_file(args)
-    if not args.cloud:
-        refuse_changed(args, SCAN, "describes a scan; give --cloud")
-    elif not motion_given(args):
-        why = "makes obstacles of a scan, for --start and --goal; those of a problem are its own"
-        refuse_changed(args, SCAN["obstacles made from the scan"], f"{why}: leave it out")
-    given = [
-        name for name in ("suite", "problem_file", "task_file") if getattr(args, name) is not None
-    ]
-    if motion_given(args) and not given:
-        from cvqmpt_lab.cli.scan_command import motion_problem
+    named = any((args.suite, args.problem_file, args.task_file))
+    if motion_given(args) and not named:
+        from cvqmpt_lab.cli.motion_arguments import motion_problem
 
         compile_in_processes(compiling())
-        return with_limits(args, motion_problem(args))
-    if len(given) != 1 or motion_given(args) or args.scene:
+        return with_clearance(args, motion_problem(args))
+    if not named or motion_given(args) or args.scene:
         raise InvalidInputError(
-            f"name a suite ({few(SUITES, 3)}), or give --problem-file or --task-file, or "
-            "--start and --goal, alone or with --cloud or --scene: one of the four; cvqmpt "
-            "problems new mine.json --robot ur5 writes a first problem"
+            f"name a suite ({few(SUITES, 3)}), a problem file or a task file, or give --start and "
+            "--goal, alone or with --cloud or --scene: one of the four; cvqmpt problems new "
+            "mine.json --robot ur5 writes a first problem"
         )
     if args.suite is not None:
         suite_named(args.suite)  # an unknown name is refused before anything is compiled
@@ -306,7 +301,7 @@ def _not_limited(robot: Robot) -> str:
 
     missing = [without_effort_limit(robot)]
     if "jerk" not in robot.limits:
-        missing.append("jerk not limited: give --jerk")
+        missing.append("jerk not limited: cvqmpt robot --jerk limits it")
     said = "; ".join(filter(None, missing))
     return f"\n            {said}" if said else ""
 
@@ -317,7 +312,6 @@ def _show(args: argparse.Namespace, solution: "Solution | TaskSolution") -> list
     of_suite = args.suite and isinstance(solution, Solution)
     carried = suite_named(args.suite).carried if of_suite else ()
     lines = []
-    suffix = None if args.save is None else args.save.suffix
     if args.picture:
         from cvqmpt_lab.features.pictures.picture import draw_solution, task_image, write_picture
 
@@ -329,26 +323,40 @@ def _show(args: argparse.Namespace, solution: "Solution | TaskSolution") -> list
             write_picture(args.picture, image)
             what = f"picture of {', '.join(names)}"
         lines.append(f"{what} written to {args.picture}")
-    if suffix == FILM_SUFFIX:
+    return lines + [line for path in args.save for line in _saved(path, solution, carried)]
+
+
+def _saved(path: Path, solution: "Solution | TaskSolution", carried: Sequence[Any]) -> list[str]:
+    """Write a file of --save; return a line on it.
+
+    Args:
+        path: the file, whose suffix names what is written.
+        solution: what is shown.
+        carried: objects that are shown in the hand beside those of the problem.
+    """
+    if path.suffix == STATES_SUFFIX:
+        if not isinstance(solution, Solution) or not solution.path:
+            return []
+        rows = solution.problem.robot.joint_names, *solution.path.states.tolist()
+        write_text(path, csv_table(rows))
+        return [f"path written to {path}"]
+    if path.suffix == FILM_SUFFIX:
         from cvqmpt_lab.features.pictures.picture import film_solution
 
-        film_solution(solution, args.save, carried=carried, progress=ProgressBar("film"))
-        lines.append(f"film written to {args.save}")
-    if suffix == PAGE_SUFFIX:
+        film_solution(solution, path, carried=carried, progress=ProgressBar("film"))
+        return [f"film written to {path}"]
+    if path.suffix == PAGE_SUFFIX:
         from cvqmpt_lab.features.pictures.web_page import save_page
 
-        save_page(solution, args.save, carried)
-        size = args.save.stat().st_size / 1e6
-        lines.append(
-            f"page written to {args.save} ({size:.1f} MB); open it in a browser, no network is "
-            "needed"
-        )
-    if suffix == RECORDING_SUFFIX:
-        from cvqmpt_lab.features.pictures.recording import log_solution
+        save_page(solution, path, carried)
+        size = path.stat().st_size / 1e6
+        return [
+            f"page written to {path} ({size:.1f} MB); open it in a browser, no network is needed"
+        ]
+    from cvqmpt_lab.features.pictures.recording import log_solution
 
-        log_solution(solution, args.save, carried)
-        lines.append(f"recording written to {args.save}; open it with: rerun {args.save}")
-    return lines
+    log_solution(solution, path, carried)
+    return [f"recording written to {path}; open it with: rerun {path}"]
 
 
 def serve(args: argparse.Namespace) -> None:
@@ -369,7 +377,8 @@ def serve(args: argparse.Namespace) -> None:
 
 def _of_page(args: argparse.Namespace) -> PlanningProblem:
     """Return the problem of a file or suite, or else a template problem for the named robot."""
-    if args.suite is None and args.problem_file is None:
+    name_file(args)
+    if not any((args.suite, args.problem_file, args.task_file)):
         if (source := robot_source(args)) is not None:
             from cvqmpt_lab.benchmarks.templates import problem_template  # half a second to import
 
@@ -377,4 +386,6 @@ def _of_page(args: argparse.Namespace) -> PlanningProblem:
         args.suite = "place-task"
     if isinstance(problem := chosen_problem(args), PlanningProblem):
         return problem
-    raise InvalidInputError(f"{args.suite} has tasks of several phases; studio is for problems")
+    raise InvalidInputError(
+        f"{args.suite or args.task_file} has tasks of several phases; studio is for problems"
+    )

@@ -1,69 +1,81 @@
 """Functions that read the options for problem, robot, budget and planners."""
 
 import argparse
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from cvqmpt_lab.base.errors import InvalidInputError, mapping, require_choice
+from cvqmpt_lab.base.errors import InvalidInputError, located, mapping
 from cvqmpt_lab.base.files import read_json_object
 from cvqmpt_lab.benchmarks.declarations import SUITES
 from cvqmpt_lab.benchmarks.suite import suite_named
-from cvqmpt_lab.cli.options import numbers, refuse_given
-from cvqmpt_lab.cli.problem_options import ROBOT_DETAILS
+from cvqmpt_lab.cli.options import NOTES, numbers, refuse_given
+from cvqmpt_lab.cli.problem_options import PRICES_USED
 from cvqmpt_lab.features.tasks.task import Task
 from cvqmpt_lab.planning.margins import Margin
 from cvqmpt_lab.planning.planners import PLANNERS
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import group_states, numbers_of, robot_from_source
-from cvqmpt_lab.robot.robot import FrameLimit, Robot
-from cvqmpt_lab.robot.source import with_absolute_paths
+from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.robot.source import ARMS, with_absolute_paths
+from cvqmpt_lab.robot.urdf import read_urdf
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.work import PRICES
 
 
 def robot_source(
-    args: argparse.Namespace, problem_file: Path | None = None
+    args: argparse.Namespace, say: Callable[[str], None] = NOTES.append
 ) -> dict[str, Any] | None:
-    """Return the robot of the command line as json of a problem file; None if none is given.
+    """Return the robot of --robot as json of a problem file; None if it is not given.
+
+    say: prints the note on an end effector that is a guess.
+    """
+    if args.robot is None:
+        return None
+    source, guesses = source_named(args.robot)
+    if guesses:
+        say(
+            f"end effector {guesses[0]} is a guess; cvqmpt robot {args.robot} --end-effector FRAME "
+            "--out robot.json chooses another, for --robot robot.json"
+        )
+    return source
+
+
+def source_named(
+    text: str, options: Mapping[str, Any] | None = None
+) -> tuple[dict[str, Any], list[str]]:
+    """Return a robot as json of a problem file, and the end effectors it may have, if guessed.
 
     Args:
-        args: parsed command line.
-        problem_file: its robot is changed by the options if neither --robot nor --urdf is given.
+        text: name of a robot, URDF file, robot file, or file of a problem or task.
+        options: fields that replace those of the robot.
     """
-    options = robot_options(args)
-    if args.robot is not None and args.urdf is not None:
-        raise InvalidInputError(f"--robot {args.robot} and --urdf {args.urdf}: give one of the two")
-    if args.robot is not None:
-        return {"name": args.robot, **options}
-    if args.urdf is not None:
-        if args.end_effector is None and not args.end_effectors:
-            raise InvalidInputError(
-                "--urdf needs --end-effector FRAME, a frame of that URDF; cvqmpt robot "
-                f"{args.urdf} suggests one"
-            )
-        return {"urdf": str(args.urdf.absolute()), **options}
-    if options and problem_file is None:
-        raise InvalidInputError(
-            f"{', '.join(ROBOT_DETAILS)} describe the robot of --robot or --urdf; give it"
-        )
-    if not options or problem_file is None:
-        return None
-    data = read_json_object(problem_file, "problem file")
-    own = mapping(data.get("robot"), f"{problem_file}: robot")
-    locked = mapping(own.get("locked", {}), f"{problem_file}: robot.locked")
-    return {**own, **options, "locked": {**locked, **options.get("locked", {})}}
+    given, path = dict(options or {}), Path(text)
+    if text in ARMS or not (path.suffix or path.exists()):
+        return {"name": text, **given}, []
+    if path.suffix == ".json":
+        data = read_json_object(path, "robot file")
+        own = mapping(data["robot"], f"{path}: robot") if "robot" in data else data
+        own = with_absolute_paths(path.parent, own)
+        locked = mapping(own.get("locked", {}), f"{path}: robot.locked")
+        if "locked" in given:
+            given["locked"] = {**locked, **given["locked"]}
+        return {**own, **given}, []
+    source = {"urdf": str(path.absolute()), **given}
+    if {"end_effector", "end_effectors"} & given.keys():
+        return source, []
+    guesses = read_urdf(path, given.get("package_dirs", ())).likely_end_effectors()
+    return {**source, "end_effector": guesses[0]}, guesses
 
 
-def chosen_robot(args: argparse.Namespace, problem_file: Path | None = None) -> Robot:
-    """Return the robot of the command line or of a problem file, by default the Panda."""
-    source = robot_source(args, problem_file)
-    if source is None and problem_file is not None:
-        source = read_json_object(problem_file, "problem file").get("robot")
-    if problem_file is not None:
-        source = with_absolute_paths(problem_file.parent, source)
+def chosen_robot(args: argparse.Namespace, file: Path | None = None) -> Robot:
+    """Return the robot of --robot, or else of a problem or task file, by default the Panda."""
+    source = robot_source(args)
+    if source is None and file is not None:
+        source, _ = source_named(str(file))
     return robot_from_source({"name": "panda"} if source is None else source)
 
 
@@ -85,41 +97,62 @@ def robot_options(args: argparse.Namespace) -> dict[str, Any]:
         "hard_limits": args.hard_limits or None,
         "skip_missing_meshes": args.skip_missing_meshes or None,
         "visual_as_collision": args.visual_as_collision or None,
+        "bodies": args.bodies,
     }
     return {name: value for name, value in given.items() if value not in (None, [], {})}
 
 
-def configuration(robot: Robot, option: str, text: str) -> np.ndarray:
-    """Return a configuration (n,) from numbers or from the name of a group_state of the SRDF."""
+def configuration(robot: Robot, option: str, text: str, file: Path | None = None) -> np.ndarray:
+    """Return a configuration (n,) of the command line.
+
+    Args:
+        robot: whose configuration it is.
+        option: for messages.
+        text: numbers, the name of a group_state of the SRDF, or start or goal of a file.
+        file: file of a problem or task; None: start and goal have no meaning.
+    """
+    if text in ("start", "goal") and file is not None:
+        data = read_json_object(file, "problem file")
+        given = data.get("start") if text == "start" else (data.get("goals") or [None])[0]
+        if given is None:
+            field = "start" if text == "start" else "goals"
+            raise InvalidInputError(
+                f"{option} {text}: {file} has no configuration in {field!r}; write numbers"
+            )
+        return np.array(numbers_of(robot, given, f"{file}: {text}"))
     named = text if text in group_states(robot) else numbers(option, text, robot.joint_names)
     return np.array(numbers_of(robot, named, option))
 
 
+def named_file(text: str) -> Path | None:
+    """Return the path of a problem or task file, None for a suite; refuse URDF and YAML."""
+    path = Path(text)
+    if path.suffix in (".urdf", ".xacro"):
+        raise InvalidInputError(
+            f"{path} is the description of a robot, not a problem; write one with: cvqmpt problems "
+            f"new mine.json --robot {path}"
+        )
+    if path.suffix in (".yaml", ".yml"):
+        raise InvalidInputError(
+            f"{path}: a problem file is JSON, not YAML; write an example with: cvqmpt problems new "
+            "mine.json --robot ur5; a scene of MoveIt: cvqmpt problems import"
+        )
+    if text not in SUITES and path.is_dir():
+        raise InvalidInputError(f"{path} is a folder; name one problem or task file")
+    is_file = text not in SUITES and (path.suffix == ".json" or path.is_file())
+    return path if is_file else None
+
+
 def name_file(args: argparse.Namespace) -> None:
-    """Store SUITE|FILE as --problem-file or --task-file if it is a file; refuse URDF and YAML."""
-    for given in (args.suite, args.problem_file):
-        if given is not None and Path(given).suffix in (".urdf", ".xacro"):
-            raise InvalidInputError(
-                f"{given} is the description of a robot, not a problem; write one with: cvqmpt "
-                f"problems new mine.json --urdf {given}"
-            )
-        if given is not None and Path(given).suffix in (".yaml", ".yml"):
-            raise InvalidInputError(
-                f"{given}: a problem file is JSON, not YAML; write an example with: cvqmpt "
-                "problems new mine.json --robot ur5; a scene of MoveIt: cvqmpt problems import"
-            )
-    if args.suite is None or args.suite in SUITES:
+    """Store SUITE|FILE as `suite`, `problem_file` or `task_file`; the others are None."""
+    if hasattr(args, "problem_file"):
         return
-    path = Path(args.suite)
-    if path.suffix != ".json" and not path.is_file():
+    args.problem_file = args.task_file = None
+    path = None if args.suite is None else named_file(args.suite)
+    if path is None:
         return
     task = read_json_object(path, "problem file").get("schema") == Task.SCHEMA
-    if task and not hasattr(args, "task_file"):
-        raise InvalidInputError(f"{path} is a task; give a problem file")
-    option = "task_file" if task else "problem_file"
-    if getattr(args, option) is not None:
-        raise InvalidInputError(f"{path} and {getattr(args, option)}: give one file")
-    setattr(args, option, path)
+    setattr(args, "task_file" if task else "problem_file", path)
     args.suite = None
 
 
@@ -152,52 +185,52 @@ def with_functions(
 
 
 def chosen_problem(args: argparse.Namespace) -> PlanningProblem | Task:
-    """Return the problem or task of a suite or file."""
+    """Return the problem or task of a suite or file, with the robot of --robot."""
     name_file(args)
-    files = [name for name in ("problem_file", "task_file") if hasattr(args, name)]
-    if sum(getattr(args, name) is not None for name in ("suite", *files)) != 1:
-        options = " or ".join(f"--{name.replace('_', '-')}" for name in files)
-        either = "one of the two" if len(files) == 1 else "one of the three"
-        raise InvalidInputError(f"name a suite ({', '.join(SUITES)}) or give {options}, {either}")
-    if args.suite is None:
-        refuse_given(args, ["problem"], "goes with a suite; a file holds one problem, leave it out")
+    if args.suite is not None:
+        item = suite_named(args.suite).solvable(args.problem)
+        item = with_robot(item, robot_source(args), f"--robot {args.robot}")
+        return with_clearance(args, with_functions(args, item))
+    if args.problem_file is None and args.task_file is None:
+        raise InvalidInputError(f"name a suite ({', '.join(SUITES)}), or a problem or task file")
+    refuse_given(args, ["problem"], "goes with a suite; a file holds one problem, leave it out")
+    robot = robot_source(args)
     if args.problem_file is not None:
-        robot = robot_source(args, args.problem_file)
         problem = PlanningProblem.load(args.problem_file, robot=robot, clearance=args.clearance)
-        return with_limits(args, with_functions(args, problem))
-    if robot_source(args):
-        raise InvalidInputError(
-            "--robot and --urdf go with --problem-file or --start; problems of suites and tasks "
-            "have their own robot"
-        )
-    if args.suite is None:
-        return with_limits(args, with_functions(args, Task.load(args.task_file)))
-    of_suite = suite_named(args.suite).solvable(args.problem)
-    return with_limits(args, with_functions(args, of_suite))
+        return with_clearance(args, with_functions(args, problem))
+    return with_functions(args, Task.load(args.task_file, robot=robot))
 
 
-def with_limits(
+def with_robot(
+    item: PlanningProblem | Task, source: Mapping[str, Any] | None, where: str
+) -> PlanningProblem | Task:
+    """Return a problem or task with another robot, which keeps the door or drawer in its hand.
+
+    Args:
+        item: problem or task of a suite.
+        source: json of the robot; None: that of the item.
+        where: for errors.
+    """
+    if source is None:
+        return item
+    own = item.robot if isinstance(item, Task) else item.robot.source
+    held = {name: own[name] for name in ("articulated",) if name in own}
+    with located(where):
+        if isinstance(item, Task):
+            return replace(item, robot={**held, **source})
+        return replace(item, robot=robot_from_source({**held, **source}))
+
+
+def with_clearance(
     args: argparse.Namespace, problem: PlanningProblem | Task
 ) -> PlanningProblem | Task:
-    """Return the problem with --clearance, --tool-speed and --bodies.
+    """Return the problem with --clearance.
 
     A task keeps its clearance: its hand must touch objects.
     """
     if args.clearance and isinstance(problem, PlanningProblem):
         problem = replace(problem, clearance=args.clearance)
-    if getattr(args, "bodies", None):
-        given = {"bodies": args.bodies}
-        if isinstance(problem, Task):
-            problem = replace(problem, robot={**problem.robot, **given})
-        else:
-            robot = robot_from_source({**problem.robot.source, **given})
-            problem = replace(problem, robot=robot)
-    if args.tool_speed is None:
-        return problem
-    if isinstance(problem, Task):
-        robot = with_tool_speed(args, robot_from_source(problem.robot))
-        return replace(problem, robot=robot.source)
-    return replace(problem, robot=with_tool_speed(args, problem.robot))
+    return problem
 
 
 def margin_of_task(args: argparse.Namespace, most: float = 0.1) -> Margin:
@@ -213,23 +246,8 @@ def margin_of_task(args: argparse.Namespace, most: float = 0.1) -> Margin:
             f"--clearance {clearance:g}: a task keeps it as its margin, from 0 to {most:g} m; give "
             "less"
         )
-    return Margin(max(args.margin, clearance), args.margin_angle).check()
-
-
-def with_tool_speed(args: argparse.Namespace, robot: Robot) -> Robot:
-    """Return the robot with --tool-speed for its end effectors; without W their own one stays."""
-    if args.tool_speed is None:
-        return robot
-    from cvqmpt_lab.features.motion.frame_speeds import (
-        with_frame_limits,  # few commands state a speed
-    )
-
-    speed, *turning = args.tool_speed
-    limits = dict(robot.frame_limits)
-    for name in robot.end_effectors:
-        own = limits[name].turning_speed if name in limits else None
-        limits[name] = FrameLimit(speed, turning[0] if turning else own)
-    return with_frame_limits(robot, limits)
+    metres, radians = args.margin
+    return Margin(max(metres, clearance), radians).check()
 
 
 def end_velocities(
@@ -256,12 +274,10 @@ def budget(args: argparse.Namespace, cost: float | None = None) -> Budget:
 
     cost: in the paper's seconds [s]; None: 10 s of wall time.
     """
-    if args.prices is not None and args.cost is None:
-        raise InvalidInputError(f"--prices {args.prices}: give --cost, the limit that they price")
     if args.cutoff is None and args.iterations is None and args.cost is None:
         return Budget(seconds=10.0) if cost is None else Budget(cost=cost)
-    name = require_choice("--prices", args.prices or "published", PRICES)
-    return Budget(args.cutoff, args.iterations, args.cost, PRICES[name])
+    limit, prices = args.cost or (None, PRICES_USED)
+    return Budget(args.cutoff, args.iterations, limit, PRICES[prices])
 
 
 def optimize_budget(args: argparse.Namespace, default: float | None = None) -> Budget | None:

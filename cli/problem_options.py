@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cvqmpt_lab.base.errors import InvalidInputError
+from cvqmpt_lab.base.errors import InvalidInputError, require_choice
 from cvqmpt_lab.cli.options import (
     FLAG,
     REPEATED,
@@ -28,6 +28,9 @@ from cvqmpt_lab.search.work import PRICES
 if TYPE_CHECKING:
     from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 
+PRICES_USED = "published"
+DEFAULT_MARGIN = 0.002, 0.005  # [m], [rad]
+
 
 def _placement(option: str, text: str) -> dict[str, Any]:
     """Return the pose of --base or --tool."""
@@ -43,6 +46,24 @@ def _limits(option: str, text: str) -> float | list[float]:
     return limits[0] if len(limits) == 1 else limits
 
 
+def _margin(text: str) -> tuple[float, float]:
+    """Return the margins of --margin [m], [rad]."""
+    given = list[float]()
+    with contextlib.suppress(ValueError):
+        given = [float(word) for word in text.split(",")]
+    if len(given) not in (1, 2):
+        raise InvalidInputError(f"--margin {text!r}: write M or M,RAD [m, rad]")
+    return given[0], given[1] if len(given) > 1 else DEFAULT_MARGIN[1]
+
+
+def _cost(text: str) -> tuple[float, str]:
+    """Return the limit and the name of its prices, of --cost."""
+    limit, colon, prices = text.partition(":")
+    name = prices if colon else PRICES_USED
+    name = prices if colon else PRICES_USED
+    return positive(limit), require_choice("prices of --cost", name, PRICES)
+
+
 def _locked_joint(text: str) -> tuple[str, float]:
     """Return joint and value of one --lock."""
     joint, _, value = text.rpartition("=")
@@ -52,7 +73,7 @@ def _locked_joint(text: str) -> tuple[str, float]:
     raise InvalidInputError(f"--lock {text!r}: write JOINT=VALUE with a finite number [rad or m]")
 
 
-ROBOT_DETAILS: Options = {  # for robots given by name or by file
+ROBOT_DETAILS: Options = {  # of `cvqmpt robot`, which writes them into a robot file
     "--end-effector": option("frame that constraint and goals refer to", metavar="FRAME"),
     "--end-effectors": option(
         "several such frames, planned together; every region names its frame",
@@ -124,13 +145,25 @@ ROBOT_DETAILS: Options = {  # for robots given by name or by file
         type=partial(_limits, "--effort"),
         metavar="E[,E...]",
     ),
+    "--tool-speed": option(
+        "largest speed of the end effectors, and perhaps their largest turning speed (unlimited): "
+        "motions keep it, certificates check it; a fraction of the joint limits does not scale it "
+        "[m/s, rad/s]",
+        type=partial(one_or_two, "--tool-speed", "V or V,W, above 0 [m/s, rad/s]"),
+        metavar="V[,W]",
+    ),
+    "--bodies": option(
+        "what is drawn of the robot: its visual meshes, or the convex hulls that can collide "
+        "(visual)",
+        choices=("visual", "hulls"),
+    ),
 }
 ROBOT: Options = {
     "--robot": option(
-        "an arm by name: panda, ur5, xarm7, ...; cvqmpt robot lists them", metavar="NAME"
+        "an arm by name (panda, ur5, xarm7, ...; cvqmpt robot lists them), a URDF file, or a robot "
+        "file that cvqmpt robot wrote",
+        metavar="NAME|URDF|robot.json",
     ),
-    "--urdf": option("an arm with revolute and prismatic joints", type=Path, metavar="ARM.urdf"),
-    **ROBOT_DETAILS,
 }
 CODE: Options = {
     "--allow-code": option(
@@ -141,15 +174,7 @@ PROBLEM: Options = {
     "suite": option(
         "a suite (cvqmpt problems list), or a problem or task file", nargs="?", metavar="SUITE|FILE"
     ),
-    "--problem": option("index in the suite (0)", type=int, default=0, metavar="I"),
-    "--problem-file": option("a problem file instead of a suite", type=Path, metavar="P.json"),
-    "--tool-speed": option(
-        "largest speed of the end effector, and perhaps its largest turning speed (unlimited, or "
-        "'frame_limits' of the robot in the file): motions keep it, certificates check it; a "
-        "fraction of the joint limits does not scale it [m/s, rad/s]",
-        type=partial(one_or_two, "--tool-speed", "V or V,W, above 0 [m/s, rad/s]"),
-        metavar="V[,W]",
-    ),
+    "--problem": option("index of a problem of the suite (0)", type=int, default=0, metavar="I"),
     "--constraint": option(
         "add a constraint function of your own to the problem; repeatable",
         metavar="MODULE:F",
@@ -185,11 +210,10 @@ BUDGET: Options = {
     ),
     "--cost": option(
         "give up when state checks, projections and Newton steps cost S seconds of the paper's "
-        "(results repeat bit for bit)",
-        type=positive,
-        metavar="S",
+        f"(results repeat bit for bit); prices: {', '.join(PRICES)} (published)",
+        type=_cost,
+        metavar="S[:PRICES]",
     ),
-    "--prices": option(f"prices of --cost: {', '.join(PRICES)} (published)", metavar="NAME"),
     "--backend": option("collision backend: compiled, exact (compiled)", default="compiled"),
 }
 
@@ -201,12 +225,6 @@ def optimize_option(default: str = "") -> Options:
         "the paper's seconds if --cost does)"
     )
     return {"--optimize": option(text + default, type=not_negative, metavar="S")}
-
-
-def bodies_option() -> Options:
-    """Return the option --bodies of commands that show a robot."""
-    text = "what is drawn of the robot: its visual meshes, or the convex hulls that can collide"
-    return {"--bodies": option(f"{text} (visual)", choices=("visual", "hulls"))}
 
 
 def velocity_options(of_motion: str, of_end: str = "", effect: str = "") -> Options:
@@ -290,7 +308,11 @@ SCAN: Options = {
             default=0.05,
             metavar="M",
         ),
-        "--arm-at": option("configuration of the arm when the scan was taken", metavar="Q"),
+        "--arm-at": option(
+            "configuration of the arm when the scan was taken, or start or goal of the problem "
+            "file",
+            metavar="Q",
+        ),
         "--neighbours": option(
             "remove points with fewer neighbours within three voxels (2)",
             type=not_negative_int,
@@ -328,7 +350,7 @@ SCAN: Options = {
 
 MOTION: Options = {
     "one motion, in free space or among the obstacles of --cloud or --scene, instead of a suite or "
-    "a problem file": {
+    "file": {
         "--start": option("configuration, numbers separated by commas [rad or m]", metavar="Q"),
         "--goal": option(
             "goal configuration; repeatable: the path ends at any of them", metavar="Q", **REPEATED
@@ -350,15 +372,10 @@ MOTION: Options = {
 MARGIN: Options = {
     "--margin": option(
         "margin for position errors of the arm: the path keeps it to obstacles and to bounds of "
-        "position, where start, goals and budget allow it (0.002; 0: none) [m]",
-        type=float,
-        metavar="M",
-        default=0.002,
-    ),
-    "--margin-angle": option(
-        "margin to bounds of rotation and tilt (0.005) [rad]",
-        type=float,
-        metavar="RAD",
-        default=0.005,
+        "position, where start, goals and budget allow it; behind a comma, the margin to bounds of "
+        "rotation and tilt (0.002,0.005; 0: none) [m, rad]",
+        type=_margin,
+        metavar="M[,RAD]",
+        default=DEFAULT_MARGIN,
     ),
 }

@@ -35,8 +35,8 @@ from cvqmpt_lab.benchmarks.item import ExecutedProblem, SensedProblem, Unsolvabl
 from cvqmpt_lab.benchmarks.motion_bench import BENCH_ARCHIVE, BENCH_HANDS, fetch
 from cvqmpt_lab.benchmarks.suite import suite_named
 from cvqmpt_lab.cli.options import (
-    EXACTLY_ONE_OF,
     FLAG,
+    ONE_OF,
     SEED,
     Options,
     ProgressBar,
@@ -44,17 +44,16 @@ from cvqmpt_lab.cli.options import (
     one_of,
     option,
     positive_int,
-    refuse_changed,
     refuse_given,
     writable_file,
 )
 from cvqmpt_lab.cli.problem_arguments import (
     chosen_robot,
     configuration,
-    name_file,
+    named_file,
     robot_source,
 )
-from cvqmpt_lab.cli.problem_options import CODE, ROBOT, ROBOT_DETAILS, pose_region
+from cvqmpt_lab.cli.problem_options import CODE, ROBOT, pose_region
 from cvqmpt_lab.constraints.goals import SAMPLE_MARGIN_M, find_in_region
 from cvqmpt_lab.constraints.named import Region, rpy_of, upper_axis
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
@@ -63,7 +62,8 @@ from cvqmpt_lab.planning.pipeline import with_drawn_goals
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.robot.urdf import read_urdf
+
+OPENED = ("drawer", "door")  # what the robot of a new task opens
 
 
 def run(args: argparse.Namespace) -> None:
@@ -74,15 +74,10 @@ def run(args: argparse.Namespace) -> None:
         "goals": ("export",),
         "robot": ("new",),
         "task": ("new",),
-        "door": ("new",),
-        "urdf": ("new",),
     }
     for name, actions in goes_with.items():
         if args.action not in actions:
             refuse_given(args, [name], f"goes with {' or '.join(actions)}, not with {args.action}")
-    if args.action != "new":
-        why = f"describes the robot of a new problem: it goes with new, not with {args.action}"
-        refuse_changed(args, ROBOT_DETAILS, why)
     ACTIONS[args.action](args)
 
 
@@ -93,26 +88,21 @@ def _new(args: argparse.Namespace) -> None:
     from cvqmpt_lab.benchmarks.task_template import task_template
     from cvqmpt_lab.benchmarks.templates import problem_template, with_limits
 
-    if args.urdf is not None and args.end_effector is None and not args.end_effectors:
-        args.end_effector = read_urdf(args.urdf, args.package_dir).likely_end_effectors()[0]
-        print(f"end effector {args.end_effector} is a guess; --end-effector chooses another")
-    robot, notes = with_limits(robot_source(args) or {"name": "panda"})
-    if args.task or args.door:
-        kind, made = "task", task_template(robot, "door" if args.door else "drawer")
+    robot, notes = with_limits(robot_source(args, print) or {"name": "panda"})
+    if args.task is not None:
+        made = task_template(robot, args.task)
     else:
-        kind, made = "problem", problem_template(robot)
+        made = problem_template(robot)
     schema = made["$schema"]
     write_text(writable_file(path), json_text({**made, "name": path.stem}) + "\n")
     schemas = Path(__file__).parents[1] / "schemas"  # cvqmpt_lab holds cli
     write_text(path.parent / schema, read_text(schemas / schema))
     for note in notes:
         print(note)
-    if kind == "problem":
+    if args.task is None:
         problem = PlanningProblem.load(path)
         print("\n".join(hand_lines(problem.robot, problem.start)))
-    print(
-        f"{path} written, and {schema} for editors; plan it with: cvqmpt plan --{kind}-file {path}"
-    )
+    print(f"{path} written, and {schema} for editors; plan it with: cvqmpt plan {path}")
 
 
 def _import(args: argparse.Namespace) -> None:
@@ -128,7 +118,7 @@ def _import(args: argparse.Namespace) -> None:
     named = f"frame {frame!r}" if frame else "the file's frame"
     print(
         f"{path} written: {len(scene.objects)} objects; {named} is used as the world, at whose "
-        "origin the robot's base stands unless --base moves it"
+        "origin the robot's base stands unless base in the field robot moves it"
     )
     print(
         f'use it in a problem, "scene": "{path.name}", or in: cvqmpt plan --scene {path} --start '
@@ -208,16 +198,28 @@ OPTIONS: Options = {
         metavar="DIR|S.json",
     ),
     "--goals": option("write sampled goals in addition to the goal region (with export)", **FLAG),
-    "--task": option("write a task that opens a drawer (with new)", **FLAG),
-    "--door": option("write a task that opens a door (with new)", **FLAG),
-    "robot of the new problem (the panda)": ROBOT,
+    "--task": option(
+        "write a task that opens a drawer or a door (drawer), instead of a problem (with new)",
+        nargs="?",
+        const=OPENED[0],
+        type=one_of("task", OPENED),
+        metavar="|".join(OPENED),
+    ),
+    **ROBOT,
 }
 
 
 def fk(args: argparse.Namespace) -> None:
     """Print the pose of each hand at a configuration."""
-    robot = chosen_robot(args, args.problem_file)
-    q = configuration(robot, "Q", args.q)
+    files = [Path(word) for word in args.q if word.endswith(".json")]
+    given = [word for word in args.q if not word.endswith(".json")]
+    if len(files) > 1 or len(given) > 1:
+        raise InvalidInputError(
+            f"{' '.join(args.q)}: write one configuration Q, one file, or one of each"
+        )
+    file = files[0] if files else None
+    robot = chosen_robot(args, file)
+    q = configuration(robot, "Q", given[0] if given else "start", file)
     if args.json:
         poses = {hand: robot.pose(q, hand).tolist() for hand in robot.end_effectors}
         print(json_text({"joints": list(robot.joint_names), "q": q.tolist(), "poses": poses}))
@@ -249,14 +251,17 @@ def hand_lines(robot: Robot, q: np.ndarray) -> list[str]:
 
 def ik(args: argparse.Namespace) -> int:
     """Sample and print configurations; return 1 if there is none."""
-    name_file(args)
-    if args.suite is not None or args.problem_file is None:
-        raise InvalidInputError(f"ik needs a problem file, P.json, not {args.suite or 'nothing'}")
-    data = read_json_object(args.problem_file, "problem file")
-    region = _region(args, data)
-    data["robot"] = robot_source(args, args.problem_file) or data.get("robot")
-    with located(str(args.problem_file)):
-        data = PlanningProblem.with_named_files(data, args.problem_file.parent)
+    file = named_file(args.file)
+    if file is None:
+        raise InvalidInputError(f"ik needs a problem file, P.json, not {args.file}")
+    data = read_json_object(file, "problem file")
+    if data.get("schema") == Task.SCHEMA:
+        kept = {name: value for name, value in data.items() if name in ("name", "robot", "scene")}
+        data = {**kept, "schema": PlanningProblem.SCHEMA}
+    region = _region(args, file, data)
+    data["robot"] = robot_source(args) or data.get("robot")
+    with located(str(file)):
+        data = PlanningProblem.with_named_files(data, file.parent)
         robot = robot_from_source(mapping(data.get("robot"), "robot"))
         middle = 0.5 * (robot.lower + robot.upper)  # used as start, which may be missing
         given = {**data, "start": middle, "start_region": None, "goals": [], "goal_region": region}
@@ -285,35 +290,42 @@ def ik(args: argparse.Namespace) -> int:
     return 0 if configurations else 1
 
 
-def _region(args: argparse.Namespace, data: dict) -> TaskSpaceRegion:
-    """Return the region of --pose or --region."""
+def _region(args: argparse.Namespace, file: Path, data: dict) -> TaskSpaceRegion:
+    """Return the region of --pose or --region, by default the goal region of the file."""
     if args.pose is not None:
         return args.pose
-    if args.region in ("goal_region", "start_region"):
-        if args.region not in data:
-            raise InvalidInputError(
-                f"{args.problem_file} has no {args.region!r}; write one after --region"
-            )
-        with located(f"{args.problem_file}"):
-            return from_plain(Region, data[args.region], args.region)
-    return from_plain(Region, json_object(args.region, "--region"), "--region")
+    name = {None: "goal_region", "goal": "goal_region", "start": "start_region"}.get(
+        args.region, args.region
+    )
+    if name not in ("goal_region", "start_region"):
+        return from_plain(Region, json_object(name, "--region"), "--region")
+    if name in data:
+        with located(f"{file}"):
+            return from_plain(Region, data[name], name)
+    point = name.removesuffix("_region")
+    if data.get("start" if point == "start" else "goals"):
+        robot = chosen_robot(args, file)
+        pose = robot.pose(configuration(robot, "--region", point, file))
+        return from_plain(Region, {"pose": {"at": pose.tolist()}}, name)
+    raise InvalidInputError(f"{file} has no {name!r}; write one after --region")
 
 
 IK: Options = {
-    "suite": option(
-        "problem file: robot, scene, constraint and attachments; start and goals may still be "
-        "missing",
-        nargs="?",
-        metavar="P.json",
+    "file": option(
+        "problem or task file: robot, scene, constraint and attachments; start and goals may still "
+        "be missing",
+        metavar="FILE",
     ),
-    "--problem-file": option("the same", type=Path, metavar="P.json"),
-    EXACTLY_ONE_OF: {
+    ONE_OF: {
         "--pose": option(
             "end-effector pose in the world: [m], roll, pitch, yaw [rad]",
             type=partial(pose_region, "--pose"),
             metavar="'X Y Z R P Y'",
         ),
-        "--region": option("region as json, or goal_region or start_region of the file"),
+        "--region": option(
+            "region as json, or goal or start: that region of the file, or the pose of the end "
+            "effector there (goal)"
+        ),
     },
     "--count": option(
         "largest number of configurations; two that differ only by full turns of joints count as "
@@ -323,14 +335,18 @@ IK: Options = {
         metavar="N",
     ),
     **SEED,
-    "--json": option("print one json object", **FLAG),
+    "--json": option("print one json object instead", **FLAG),
     **CODE,
-    "another robot for --problem-file": ROBOT,
+    **ROBOT,
 }
 FK: Options = {
-    "q": option("configuration, or a group_state of the SRDF [rad or m]", metavar="Q"),
-    "problem_file": option("problem file with the robot", nargs="?", type=Path, metavar="P.json"),
-    "--json": option("print one json object, with matrices", **FLAG),
-    "the robot (the panda)": ROBOT,
+    "q": option(
+        "configuration, a group_state of the SRDF, or start or goal of the file (start) [rad or "
+        "m]; problem or task file with the robot",
+        nargs="+",
+        metavar="Q|FILE",
+    ),
+    "--json": option("print one json object instead, with matrices", **FLAG),
+    **ROBOT,
 }
 COMMANDS = {"problems": (run, OPTIONS), "ik": (ik, IK), "fk": (fk, FK)}

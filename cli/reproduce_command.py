@@ -57,14 +57,12 @@ from cvqmpt_lab.planning.warm_up import compile_kernels
 ALL = "all"
 FIXED_BY_PROFILE = (
     "problems",
-    "problems_dir",
     "seeds",
     "planners",
     "model",
     "reach",
     "cutoff",
     "cost",
-    "prices",
     "iterations",
     "optimize",
 )
@@ -77,18 +75,20 @@ def run(args: argparse.Namespace) -> None:
         _reproduce_all(args)
         return
     refuse_given(args, ["profile"], f"belongs to {ALL}; name the amounts, such as --problems")
-    if (args.suite is None) == (args.problems_dir is None):
+    if args.suite is None:
         raise InvalidInputError(
-            f"name a suite ({', '.join(SUITES)}) or give --problems-dir, one of the two"
+            f"name a suite ({', '.join(SUITES)}) or a folder of problem files, one of the two"
         )
-    if args.suite is not None and args.suite.endswith(".json"):
+    folder = Path(args.suite)
+    if args.suite.endswith(".json"):
         raise InvalidInputError(
-            f"{args.suite} is one problem; give the folder of problem files: --problems-dir "
-            f"{Path(args.suite).parent}"
+            f"{folder} is one problem; give the folder of problem files: cvqmpt reproduce "
+            f"{folder.parent}"
         )
-    suite = suite_named(args.suite) if args.suite else folder_suite(args.problems_dir)
+    named = args.suite in SUITES or not (folder.exists() or len(folder.parts) > 1)
+    suite = suite_named(args.suite) if named else folder_suite(folder)
     experiment = Experiment(
-        suite=suite.name if args.problems_dir is None else str(args.problems_dir.resolve()),
+        suite=suite.name if named else str(folder.resolve()),
         problems=tuple(suite.problems[: args.problems]),
         planners=planners_of(suite) if args.planners is None else args.planners,
         seeds=tuple(range(args.seeds or 1)),
@@ -200,11 +200,11 @@ def _reproduce_all(args: argparse.Namespace) -> None:
 
 
 OPTIONS: Options = {
-    "suite": option(f"suite to reproduce: {', '.join(SUITES)}; or {ALL}", nargs="?"),
-    "--problems-dir": option(
-        "instead, a folder of problem files (*.json); it becomes a suite with the folder's name",
-        type=Path,
-        metavar="DIR",
+    "suite": option(
+        f"suite to reproduce: {', '.join(SUITES)}; {ALL}; or a folder of problem files (*.json), "
+        "which becomes a suite with the folder's name",
+        nargs="?",
+        metavar="SUITE|DIR",
     ),
     **CODE,
     "--profile": option(

@@ -1,26 +1,25 @@
-"""`cvqmpt robot`: print the model that was read from a robot's description."""
+"""`cvqmpt robot`: print the model that was read from a robot's description, write a robot file."""
 
 import argparse
 import json
 from collections import Counter
-from collections.abc import Iterable, Iterator
-from pathlib import Path
+from collections.abc import Iterable, Iterator, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from cvqmpt_lab.base.errors import few, mapping
-from cvqmpt_lab.base.files import read_json_object
-from cvqmpt_lab.cli.options import FLAG, Options, option, picture_file
-from cvqmpt_lab.cli.problem_arguments import robot_options
-from cvqmpt_lab.cli.problem_options import ROBOT_DETAILS, bodies_option
+from cvqmpt_lab.base.errors import few
+from cvqmpt_lab.base.files import json_text, write_text
+from cvqmpt_lab.cli.options import FLAG, Options, file_of_kind, log, option, picture_file
+from cvqmpt_lab.cli.problem_arguments import robot_options, source_named
+from cvqmpt_lab.cli.problem_options import ROBOT_DETAILS
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.robot.dynamics import without_effort_limit
 from cvqmpt_lab.robot.hulls import OVERLAP
 from cvqmpt_lab.robot.load import robot_from_source
-from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.robot.source import ARMS, with_absolute_paths
-from cvqmpt_lab.robot.urdf import read_urdf
+from cvqmpt_lab.robot.robot import FrameLimit, Robot
+from cvqmpt_lab.robot.source import ARMS, with_relative_paths
 from cvqmpt_lab.scene.scene import Scene
 
 
@@ -31,21 +30,8 @@ def run(args: argparse.Namespace) -> None:
             hands = arm.end_effector or " and ".join(arm.end_effectors)
             print(f"{name:16} {arm.urdf}, end effector {hands}")
         return
-    options, guesses = robot_options(args), list[str]()
-    if args.robot in ARMS or not (Path(args.robot).suffix or Path(args.robot).exists()):
-        source = {"name": args.robot, **options}
-    elif Path(args.robot).suffix == ".json":
-        path = Path(args.robot)
-        own = mapping(read_json_object(path, "problem file").get("robot"), f"{path}: robot")
-        source = {**with_absolute_paths(path.parent, own), **options}
-    else:
-        source = {"urdf": args.robot, **options}
-        if not {"end_effector", "end_effectors"} & options.keys():
-            guesses = read_urdf(Path(args.robot), args.package_dir).likely_end_effectors()
-            source["end_effector"] = guesses[0]
-    if args.bodies:
-        source = {**source, "bodies": args.bodies}
-    robot = robot_from_source(source)
+    source, guesses = source_named(args.robot, robot_options(args))
+    robot = with_tool_speed(robot_from_source(source), args.tool_speed)
     model = describe(robot)
     lines = report(robot, model, guesses)
     print(json.dumps(model, indent=1) if args.json else "\n".join(lines))
@@ -53,6 +39,29 @@ def run(args: argparse.Namespace) -> None:
         from cvqmpt_lab.features.pictures.picture import draw
 
         draw(robot, args.picture)
+    if args.out:
+        source = with_relative_paths(args.out.absolute().parent, robot.source)
+        write_text(args.out, json_text(source) + "\n")
+        log(f"robot file written to {args.out}; give it as --robot {args.out}")
+
+
+def with_tool_speed(robot: Robot, limit: Sequence[float] | None) -> Robot:
+    """Return the robot with a limit of its end effectors; without a turning speed their own stays.
+
+    Args:
+        robot: the robot.
+        limit: largest speed [m/s], and perhaps turning speed [rad/s]; None: nothing changes.
+    """
+    if limit is None:
+        return robot
+    from cvqmpt_lab.features.motion.frame_speeds import with_frame_limits  # seldom needed
+
+    speed, *turning = limit
+    limits = dict(robot.frame_limits)
+    for name in robot.end_effectors:
+        own = limits[name].turning_speed if name in limits else None
+        limits[name] = FrameLimit(speed, turning[0] if turning else own)
+    return with_frame_limits(robot, limits)
 
 
 def describe(robot: Robot, tried: int = 200) -> dict[str, Any]:
@@ -150,7 +159,7 @@ def report(robot: Robot, model: dict[str, Any], guesses: list[str]) -> Iterator[
     for note in robot.notes:
         yield f"note         {note}"
     if "acceleration" not in robot.limits:
-        yield "timing       no acceleration limits: --trajectory needs --acceleration"
+        yield "timing       no acceleration limits: timed motions need --acceleration"
     if unlimited := without_effort_limit(robot):
         yield f"timing       {unlimited}"
 
@@ -161,9 +170,9 @@ def _listed(names: Iterable[str]) -> str:
 
 OPTIONS: Options = {
     "robot": option(
-        "URDF file, problem file or name of a robot (default: list the known names)",
+        "name of a robot, URDF file, robot file or problem file (default: list the known names)",
         nargs="?",
-        metavar="URDF_OR_NAME",
+        metavar="NAME|URDF|FILE",
     ),
     **ROBOT_DETAILS,
     "--json": option("print everything as one json object", **FLAG),
@@ -172,6 +181,11 @@ OPTIONS: Options = {
         type=picture_file,
         metavar="FILE.png|jpg|pdf",
     ),
-    **bodies_option(),
+    "--out": option(
+        "write the robot with these options to a file, for other commands or for the field robot "
+        "of a problem file",
+        type=partial(file_of_kind, "--out", (".json",)),
+        metavar="robot.json",
+    ),
 }
 COMMANDS = {"robot": (run, OPTIONS)}

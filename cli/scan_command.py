@@ -1,10 +1,8 @@
-"""`cvqmpt scan`: make a clean cloud or a scene from depth images or clouds.
-
-Other commands use its options, and those of a single motion among scanned obstacles.
-"""
+"""`cvqmpt scan`: make a clean cloud or a scene from depth images or clouds."""
 
 import argparse
 import json
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
@@ -13,31 +11,19 @@ from typing import Any
 
 import numpy as np
 
-from cvqmpt_lab.base.codec import field_kinds, from_plain, to_plain
-from cvqmpt_lab.base.errors import InvalidInputError, require_choice
-from cvqmpt_lab.base.files import json_object, json_text, write_text
+from cvqmpt_lab.base.codec import to_plain
+from cvqmpt_lab.base.errors import InvalidInputError
+from cvqmpt_lab.base.files import json_text, write_text
 from cvqmpt_lab.cli.options import (
     REPEATED,
     Options,
     file_of_kind,
-    log,
-    numbers,
     option,
     picture_file,
     refuse_given,
 )
-from cvqmpt_lab.cli.problem_arguments import chosen_robot, configuration, is_function
+from cvqmpt_lab.cli.problem_arguments import chosen_robot, configuration
 from cvqmpt_lab.cli.problem_options import ROBOT, SCAN
-from cvqmpt_lab.collision.exact import CollisionChecker
-from cvqmpt_lab.constraints.goals import SAMPLE_MARGIN_M, sample_region
-from cvqmpt_lab.constraints.named import (
-    NAMED_REGIONS,
-    Region,
-    RegionForm,
-    rpy_of,
-    upper_axis,
-)
-from cvqmpt_lab.constraints.region_constraint import Member
 from cvqmpt_lab.features.scan.plane import CAMERA_UP
 from cvqmpt_lab.features.scan.scan import (
     MAP_RESOLUTION_M,
@@ -50,11 +36,9 @@ from cvqmpt_lab.features.scan.scan import (
     scan,
     unseen_share,
 )
-from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.cloud_files import CLOUD_HEADERS, write_cloud
 from cvqmpt_lab.scene.scene import Scene, check_extent
-from cvqmpt_lab.scene.scene_files import read_scene
 from cvqmpt_lab.scene.shapes import PointCloud
 from cvqmpt_lab.sensing.crop import Crop
 
@@ -74,19 +58,11 @@ def scan_of(args: argparse.Namespace, files: Sequence[Path], robot: Robot, arm: 
         refuse_given(args, ("front", "down"), "goes with --level table; give it")
     intrinsics = _each("--intrinsics", args.intrinsics, files)
     extrinsics = _each("--extrinsics", args.extrinsics, files)
-    cameras = zip(files, intrinsics, extrinsics, strict=True)
-    from cvqmpt_lab.features.scan.depth import read_capture  # not needed for clouds
+    cameras = [*zip(files, intrinsics, extrinsics, strict=True)]
+    from cvqmpt_lab.features.scan.captures import captures_of  # needs Pillow for images
 
-    captures = [read_capture(file, lens, pose, args.scale) for file, lens, pose in cameras]
-    gaps = [float(np.linalg.norm(capture.in_world, axis=1).min()) for capture in captures]
-    # where no capture is in reach, the scene of all of them gives the warning
-    for file, gap in zip(files, gaps, strict=True):
-        if gap > robot.reach >= min(gaps) and not args.level:
-            log(
-                f"scan {file}: none of its points is in the arm's reach of {robot.reach:.3g} m: "
-                f"the nearest is {gap:.3g} m away; extrinsics not in metres, inverted, or of "
-                "another frame?"
-            )
+    reach = math.inf if args.level else robot.reach
+    captures = captures_of(cameras, args.scale, reach)
     crop: Any = args.crop
     changes: dict[str, Any] = {
         "crop": crop and Crop(kind="box", lower=tuple(crop[:3]), upper=tuple(crop[3:])),
@@ -200,60 +176,6 @@ def scan_report(made: Scan, files: Sequence[Path]) -> Iterator[str]:
         )
 
 
-def motion_problem(args: argparse.Namespace) -> PlanningProblem:
-    """Return the problem from --start to --goal with the obstacles of --cloud or --scene."""
-    if (args.start is None) == (args.start_pose is None) or not (args.goal or args.goal_pose):
-        raise InvalidInputError(
-            "a motion needs --start Q or --start-pose X,Y,Z,R,P,Y, one of the two, and --goal Q or "
-            "--goal-pose X,Y,Z,R,P,Y"
-        )
-    if args.cloud and args.scene:
-        raise InvalidInputError("--cloud and --scene: give one of the two")
-    robot = chosen_robot(args)
-    start = _start(args, robot)
-    goals = [configuration(robot, "--goal", text) for text in args.goal]
-    constraint = tuple(_constraint(text, robot, start) for text in args.constraint)
-    if args.scene is not None:
-        scene = read_scene(args.scene)
-    elif not args.cloud:
-        scene = Scene("free space", ())
-    else:
-        _refuse_gaps(args)
-        arm = arm_of(args, robot, start)
-        scene = scene_of(args, scanned(args, arm), robot, arm)
-        refuse_touching(scene, Arm(robot, start))
-    check_extent(scene, robot.reach, f"scene {args.scene}" if args.scene else "scan")
-    return PlanningProblem(
-        next((path.stem for path in (args.scene, *args.cloud) if path), "motion"),
-        robot,
-        scene,
-        start=start,
-        goals=np.array(goals).reshape(-1, robot.dof),
-        constraint=constraint,
-        goal_region=args.goal_pose,
-    )
-
-
-def _start(args: argparse.Namespace, robot: Robot) -> np.ndarray:
-    """Return the configuration (n,) of --start, or one at --start-pose that is free in --scene."""
-    if args.start is not None:
-        return configuration(robot, "--start", args.start)
-    scene = Scene("none", ()) if args.scene is None else read_scene(args.scene)
-    checker = CollisionChecker(robot, scene, margin=SAMPLE_MARGIN_M)
-    rng = np.random.default_rng(args.seed)
-    found = sample_region(robot, args.start_pose, checker, rng, count=1)
-    if len(found.configurations) == 0:
-        raise InvalidInputError(f"--start-pose: {found.outcome}; give another pose, or --start Q")
-    return found.configurations[0]
-
-
-def scanned(args: argparse.Namespace, arm: Arm) -> Scan:
-    """Make a scan of the files of --cloud, and write its report to standard error."""
-    made = scan_of(args, args.cloud, arm.robot, arm)
-    log("\n".join((*scan_report(made, args.cloud), *_spared(args, arm))))
-    return made
-
-
 def _spared(args: argparse.Namespace, arm: Arm | None) -> list[str]:
     """Return a line on where --unknown occupied makes no obstacles."""
     if args.unknown != "occupied":
@@ -264,68 +186,45 @@ def _spared(args: argparse.Namespace, arm: Arm | None) -> list[str]:
     return [f"unknown     cells that no ray crossed are obstacles, {spared}"]
 
 
-def arm_of(args: argparse.Namespace, robot: Robot, q: np.ndarray) -> Arm:
-    """Return the robot during the scan: at --arm-at, or else at q (n,)."""
-    return Arm(robot, q if args.arm_at is None else configuration(robot, "--arm-at", args.arm_at))
-
-
-def _constraint(text: str, robot: Robot, start: np.ndarray) -> Member:
-    """Return a region of NAME, NAME=VALUE (VALUE: its first field) or json, or a function."""
-    if is_function(text):
-        from cvqmpt_lab.constraints.function_files import load_function  # few commands have one
-
-        return load_function(text)
-    if text.lstrip().startswith("{"):
-        return RegionForm(with_functions=True).read(
-            json_object(text, "--constraint"), "--constraint"
-        )
-    name, _, value = text.partition("=")
-    require_choice("--constraint", name, NAMED_REGIONS)
-    fields: dict[str, Any] = {}
-    if name in ("upright", "upright-box"):
-        fields["axis"] = upper_axis(robot.pose(start))
-    if name == "fixed-orientation":
-        fields["rpy"] = rpy_of(robot.pose(start)[:3, :3]).tolist()
-    if name == "relative-pose":
-        hand = next((hand for hand in robot.end_effectors if hand != value), None)
-        if hand is None:
-            raise InvalidInputError(
-                f"--constraint {text}: robot {robot.name} has one end effector; name two, "
-                "--end-effectors LEFT RIGHT"
-            )
-        require_choice("--constraint relative-pose=HAND", value, robot.end_effectors)
-        at = np.linalg.inv(robot.pose(start, value)) @ robot.pose(start, hand)
-        held = {name: {"base": value, "at": at.tolist()}, "end_effector": hand}
-        return from_plain(Region, held, "--constraint")
-    if value:
-        given = numbers("--constraint", value, () if "," in value else ("VALUE",))
-        fields[next(iter(field_kinds(NAMED_REGIONS[name])))] = given if len(given) > 1 else given[0]
-    return RegionForm(with_functions=True).read({name: fields}, "--constraint")
-
-
 def run(args: argparse.Namespace) -> None:
     """Read and clean a scan, report on it and write files."""
-    robot = chosen_robot(args)
+    files = [path for path in args.files if path.suffix != ".json"]
+    named = [path for path in args.files if path.suffix == ".json"]
+    if len(named) > 1 or not files:
+        raise InvalidInputError(
+            f"{' '.join(map(str, args.files))}: give clouds or depth images, and at most one "
+            "problem file"
+        )
+    file = named[0] if named else None
+    robot = chosen_robot(args, file)
     if any(path.suffix == ".json" for path in args.out):
         _refuse_gaps(args)
-    arm = None if args.arm_at is None else Arm(robot, configuration(robot, "--arm-at", args.arm_at))
-    made = scan_of(args, args.files, robot, arm)
+    arm = None
+    if args.arm_at is not None:
+        arm = Arm(robot, configuration(robot, "--arm-at", args.arm_at, file))
+    made = scan_of(args, files, robot, arm)
     scene = scene_of(args, made, robot, arm)
     check_extent(scene, robot.reach, "scan")
     if arm is not None:
         refuse_touching(scene, arm)
-    print("\n".join((*scan_report(made, args.files), *_spared(args, arm))))
+    print("\n".join((*scan_report(made, files), *_spared(args, arm))))
     for note in scene.notes:
         print(f"unseen      {note}")
     for path in args.out:
         if path.suffix == ".json":
             write_text(path, json_text(to_plain(scene)) + "\n")
         else:
-            write_cloud(path, made.points)
+            from cvqmpt_lab.features.scan.captures import Cleaned
+
+            share = scene.unseen
+            if share is None:
+                share = round(unseen_share(made.captures, robot.reach, arm), 3)
+            cleaned = Cleaned(args.voxel, arm is not None, share)
+            write_cloud(path, made.points, cleaned.comment)
         print(f"written to {path}")
     if args.picture:
         shown = None
-        if args.robot is not None or args.urdf is not None:
+        if args.robot is not None or file is not None:
             shown = arm or Arm(robot, 0.5 * (robot.lower + robot.upper))
         # Pillow and drawing take 0.2 s to import
         from cvqmpt_lab.features.scan.scan_picture import draw_scan
@@ -336,13 +235,14 @@ def run(args: argparse.Namespace) -> None:
 
 OPTIONS: Options = {
     "files": option(
-        "clouds (pcd, ply, npy, xyz) or depth images (png, npy)",
+        "clouds (pcd, ply, npy, xyz) or depth images (png, npy); and a problem or task file with "
+        "the robot",
         nargs="+",
         type=Path,
         metavar="FILE",
     ),
     "--out": option(
-        "the cleaned cloud, or as json a scene for plan --scene; repeatable",
+        "the cleaned cloud, for plan --cloud, or as json a scene, for plan --scene; repeatable",
         type=partial(file_of_kind, "--out", (".json", *CLOUD_HEADERS)),
         metavar="OUT.pcd|ply|npy|json",
         **REPEATED,
@@ -353,6 +253,6 @@ OPTIONS: Options = {
         metavar="P.png|jpg|pdf",
     ),
     **SCAN,
-    "the robot whose points are removed (panda)": ROBOT,
+    **ROBOT,
 }
 COMMANDS = {"scan": (run, OPTIONS)}

@@ -14,10 +14,10 @@ from packaging.requirements import Requirement
 
 from cvqmpt_lab.base import arithmetic
 from cvqmpt_lab.base.errors import CvqmptError, install_command
-from cvqmpt_lab.base.files import write_text
 from cvqmpt_lab.benchmarks.results.provenance import cpu_facts
 from cvqmpt_lab.cli.main import THREADS
 from cvqmpt_lab.cli.options import (
+    FLAG,
     Options,
     ProgressBar,
     compiling,
@@ -26,7 +26,6 @@ from cvqmpt_lab.cli.options import (
     own_command,
     positive_int,
     refuse_given,
-    writable_file,
 )
 
 BENCHES = ("stages", "sizes", "paper-check", "paper-seconds")
@@ -179,12 +178,13 @@ def bench(args: argparse.Namespace) -> None:
             write_paper_seconds(args.out, runs, own_command())
     else:
         figures = paper_check(tuning_problems(1)[0])
+    if args.json:
+        print(json.dumps({"figures": [figure._asdict() for figure in figures]}, indent=1))
+        return
     width = max(len(figure.name) for figure in figures)
     for figure in figures:
         spread = f"  [{figure.low:.4g} .. {figure.high:.4g}]" if figure.low != figure.high else ""
         print(f"{figure.name:{width}}  {figure.median:.4g} {figure.unit}{spread}")
-    if args.json:
-        write_text(args.json, json.dumps([figure._asdict() for figure in figures], indent=1) + "\n")
 
 
 OPTIONS: Options = {
@@ -195,7 +195,7 @@ OPTIONS: Options = {
         default=20,
         metavar="N",
     ),
-    "--json": option("write the figures as json too", type=writable_file, metavar="F"),
+    "--json": option("print one json object instead of the report", **FLAG),
     "--out": option(
         "for paper-seconds: folder for runs, ratios and provenance", type=Path, metavar="DIR"
     ),

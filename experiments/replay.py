@@ -63,7 +63,8 @@ def _folder_of(directory: Path, problems_dir: Path | None) -> Suite | None:
     known = digests_in(file.read(), "problem_files") if file.path.is_file() else {}
     if problems_dir is None and known:
         raise RunStoreError(
-            f"{directory} holds runs of a folder of problem files; name it with --problems-dir"
+            f"{directory} holds runs of a folder of problem files; name it: cvqmpt certify "
+            f"{directory} FOLDER"
         )
     if problems_dir is None:
         return None

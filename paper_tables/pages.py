@@ -308,7 +308,7 @@ def section_of(evidence: Evidence) -> dict[str, Any]:
     title = title_of(suite) if rows else f"Figure {name}"
     groups = by_planner(rows, published_of(suite))
     filed = digests_in(evidence.record, "problem_files")
-    problem = "--problem-file FILE" if filed else f"{suite} --problem PROBLEM"
+    problem = "FILE" if filed else f"{suite} --problem PROBLEM"
     return {
         "name": name,
         "title": title if name == suite else f"{name}: {title}",

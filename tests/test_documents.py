@@ -22,7 +22,7 @@ EXAMPLES = sorted((ROOT / "notebooks" / "examples").glob("*.py"))
 OUTPUTS = runpy.run_path(str(ROOT / "docs" / "compare_outputs.py"))
 PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
 QUICK = ("plan", "place-task-with-can"), ("robot", "ur5"), ("problems", "new")
-QUICK += (("plan", "--problem-file"),)
+QUICK += (("plan", "mine.json"),)
 """First words of what is run here. Left out are films, tasks of several phases, scans of the
 reader's own, what takes minutes (`reproduce`, `make`), what writes into the checkout (`claims`),
 and `report` and `compare`, which tests of their own run on smaller folders.

@@ -36,8 +36,8 @@ def inside(problem):
 
 
 def test_library_and_command_have_one_default_margin():
-    defaults = MARGIN["--margin"]["default"], MARGIN["--margin-angle"]["default"]
-    assert inspect.signature(solve_with_margin).parameters["margin"].default == defaults
+    default = MARGIN["--margin"]["default"]
+    assert inspect.signature(solve_with_margin).parameters["margin"].default == default
 
 
 def test_the_log_of_a_plan_has_the_time_of_its_goals(problem, caplog):
@@ -113,7 +113,7 @@ def beside_a_ball(panda):
 def test_a_moving_start_that_is_closer_lowers_the_margin_too(beside_a_ball, tmp_path, cvqmpt):
     """The search begins where the arm can stop, further away from the ball."""
     beside_a_ball.save(tmp_path / "p.json")
-    words = ["--problem-file", tmp_path / "p.json", "--planner", "birrt", "--iterations", 2000]
+    words = [tmp_path / "p.json", "--planner", "birrt", "--iterations", 2000]
     told = cvqmpt(
         "plan", *words, "--trajectory", tmp_path / "m.json", "--start-velocity", "0.2 0 0 0 0 0 0"
     )

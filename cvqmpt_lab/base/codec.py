@@ -103,10 +103,10 @@ class Document(Checked):
     """A value that is saved as a JSON file; its field "schema" names format and version."""
 
     SCHEMA: ClassVar[str]
-    # option of `cvqmpt plan` by schema, for messages
-    OPTIONS: ClassVar[Mapping[str, str]] = {
-        "cvqmpt-problem/1": "--problem-file",
-        "cvqmpt-task/1": "--task-file",
+    # what a file is by its schema, for messages
+    KINDS: ClassVar[Mapping[str, str]] = {
+        "cvqmpt-problem/1": "a problem file",
+        "cvqmpt-task/1": "a task file",
     }
 
     def to_dict(self) -> dict[str, Any]:
@@ -120,8 +120,8 @@ class Document(Checked):
         fields.pop("$schema", None)  # for editors: the file of the JSON schema
         schema = fields.pop("schema", None)
         if schema != cls.SCHEMA:
-            option = cls.OPTIONS.get(schema if isinstance(schema, str) else "")
-            cure = f": give it with {option}" if option else ""
+            kind = cls.KINDS.get(schema if isinstance(schema, str) else "")
+            cure = f", {kind}" if kind else ""
             raise InvalidInputError(
                 f"schema is {shown(schema)}{cure}; this version reads {cls.SCHEMA!r}"
             )

@@ -90,7 +90,7 @@ def _contents(folder: Path) -> dict[Path, dict[str, Any]]:
     except OSError as error:
         raise InvalidInputError(
             f"cannot read folder {folder}: {error.strerror}; name a folder of problem files, or "
-            "one file by --problem-file"
+            "plan one file: cvqmpt plan FILE"
         ) from error
     paths = sorted(paths, key=lambda path: natural_key(path.name))
     # `cvqmpt problems new` writes a schema beside the problem, for editors

@@ -24,7 +24,7 @@ from cvqmpt_lab.search.result import Budget
 Furniture = Literal["drawer", "door"]
 TASK_COMMENTS = {  # comments of the template: possible values of fields of a task file
     "task": [
-        "A task for `cvqmpt plan --task-file`. Lengths in m, angles in rad; a field _comment may "
+        "A task for `cvqmpt plan FILE`. Lengths in m, angles in rad; a field _comment may "
         "stand anywhere.",
         "Planned phases: move (the hand into a region), slide (along an axis of the hand), turn "
         "(a held door or drawer).",

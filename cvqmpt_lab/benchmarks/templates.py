@@ -30,7 +30,7 @@ from cvqmpt_lab.search.space import ConstrainedSpace, direct_motion
 TEMPLATE_TILT_RAD = 0.3
 PROBLEM_COMMENTS = {  # comments of the template: possible values of fields of a problem file
     "problem": [
-        "A problem for `cvqmpt plan --problem-file`. Lengths in m, angles in rad; a field _comment "
+        "A problem for `cvqmpt plan FILE`. Lengths in m, angles in rad; a field _comment "
         "may stand anywhere.",
         "start: numbers, {joint: value} or the name of a group_state of the SRDF; more "
         "configurations: `cvqmpt ik`.",

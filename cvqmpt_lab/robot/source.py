@@ -102,6 +102,23 @@ def with_absolute_paths(folder: Path, source: Any) -> Any:
     return {**source, **files}
 
 
+def with_relative_paths(folder: Path, source: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a robot's source in which paths below `folder` are relative to it.
+
+    It is the inverse of `with_absolute_paths`; other paths stay absolute.
+    """
+
+    def relative(path: str) -> str:
+        below = Path(path).is_relative_to(folder)
+        return str(Path(path).relative_to(folder)) if below else path
+
+    named = ("urdf", "srdf", "joint_limits")
+    files: dict[str, Any] = {name: relative(source[name]) for name in named if source.get(name)}
+    if source.get("package_dirs"):
+        files["package_dirs"] = [relative(path) for path in source["package_dirs"]]
+    return {**source, **files}
+
+
 def read_source(source: Mapping[str, Any]) -> RobotSource:
     """Return a robot's source from JSON, after checks; a named arm is looked up in `ARMS`.
 
@@ -162,13 +179,13 @@ def _of_descriptions(given: RobotSource) -> RobotSource:
     except Exception as error:  # the package downloads files that are missing, in its own ways
         said = " ".join(str(error).split())
         raise InvalidInputError(
-            f"files of robot {given.name!r} are not there: {said}; give a URDF, --urdf"
+            f"files of robot {given.name!r} are not there: {said}; give a URDF, --robot ARM.urdf"
         ) from error
     path = getattr(module, "URDF_PATH", "")
     if not path:
         raise InvalidInputError(
             f"robot {given.name!r} has no URDF; expand its {getattr(module, 'XACRO_PATH', 'files')}"
-            " and give it as --urdf"
+            " and give it as --robot"
         )
     packages = (*given.package_dirs, getattr(module, "PACKAGE_PATH", str(Path(path).parent)))
     hand = given.end_effector or read_urdf(Path(path), packages).likely_end_effectors()[0]
@@ -181,7 +198,7 @@ def _of_arm(given: RobotSource) -> RobotSource:
     if ros_package is not None:
         raise InvalidInputError(
             f"robot {given.name!r} is not in the package {ROBOT_DATA}: its URDF comes with "
-            f"ROS's {ros_package}; give its file as --urdf, or 'urdf' and 'end_effector' in a "
+            f"ROS's {ros_package}; give its file as --robot, or 'urdf' and 'end_effector' in a "
             "problem file; or pip install robot_descriptions, which has many arms as rd:NAME"
         )
     name = ALIASES.get(given.name, given.name)

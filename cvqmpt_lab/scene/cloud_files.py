@@ -67,16 +67,41 @@ def read_cloud(path: Path | str, scale: float = 1.0, posed: bool = False) -> Clo
     return Cloud(points[finite], int(len(points) - finite.sum()))
 
 
-def write_cloud(path: Path | str, points: FloatArray) -> None:
-    """Write points (m, 3) [m] in single precision; the suffix names a format of `CLOUD_HEADERS`."""
+def write_cloud(path: Path | str, points: FloatArray, comment: str = "") -> None:
+    """Write points in single precision; the suffix names a format of `CLOUD_HEADERS`.
+
+    Args:
+        path: path of the file.
+        points: (m, 3) [m].
+        comment: a line for the header, where the format has comments; "": none.
+    """
     points = np.ascontiguousarray(points, dtype="<f4")
-    header = CLOUD_HEADERS[kind_of(path, CLOUD_HEADERS, "cloud")].format(count=len(points)).encode()
+    header = CLOUD_HEADERS[kind_of(path, CLOUD_HEADERS, "cloud")].format(count=len(points))
+    if header and comment:
+        sign, behind = ("# ", "VERSION") if header.startswith("#") else ("comment ", "element")
+        header = header.replace(behind, f"{sign}{comment}\n{behind}", 1)
     stream = io.BytesIO()
     if header:
-        stream.write(header + points.tobytes())
+        stream.write(header.encode() + points.tobytes())
     else:
         np.save(stream, points)
     write_bytes(Path(path), stream.getvalue())
+
+
+def comment_of(path: Path, begin: str, most: int = 1000) -> str | None:
+    """Return the rest of a comment in the header of a cloud that begins with `begin`, or None.
+
+    Args:
+        path: path of the file.
+        begin: first words of the comment.
+        most: number of bytes in which it stands.
+    """
+    if not CLOUD_HEADERS.get(path.suffix.lower()):
+        return None
+    with path.open("rb") as file:
+        lines = file.read(most).split(b"\n")
+    found = (line.decode(errors="replace").partition(begin) for line in lines)
+    return next((rest for sign, word, rest in found if word and sign in ("# ", "comment ")), None)
 
 
 def check_lengths(

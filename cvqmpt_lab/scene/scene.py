@@ -103,7 +103,7 @@ class Scene(Checked):
             return []
         return [
             f"{self.name}: free only where a camera saw it: {seen} is unseen and counts as free; "
-            "--unknown occupied avoids it"
+            "cvqmpt scan --unknown occupied --arm-at Q avoids it"
         ]
 
     def _check(self) -> None:

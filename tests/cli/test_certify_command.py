@@ -62,7 +62,7 @@ def judged(tmp_path, region_problem, capsys):
         else:
             save(tmp_path / name, what)
         (problem or region_problem).save(tmp_path / "problem.json")
-        files = [str(tmp_path / name), "--problem-file", str(tmp_path / "problem.json")]
+        files = [str(tmp_path / name), str(tmp_path / "problem.json")]
         code = main(["certify", *files, "--json", *options])
         return code, json.loads(capsys.readouterr().out)
 
@@ -342,7 +342,7 @@ def test_positions_with_times_are_judged_as_spline_and_as_lines(judged, trajecto
 
 def test_clearance_along_time_is_written(judged, trajectory, tmp_path):
     out, page = tmp_path / "clearance.csv", tmp_path / "motion.html"
-    files = ["--clearance-out", str(out), "--save", str(page)]
+    files = ["--save", str(out), "--save", str(page)]
     _, found = judged(as_csv(trajectory), options=files)
     shown = page.read_text()
     assert "certificate certified" in shown and f"{trajectory.duration:.1f} s" in shown
@@ -357,7 +357,7 @@ def test_clearance_along_time_is_written(judged, trajectory, tmp_path):
 def test_times_are_those_of_the_file(judged, trajectory, tmp_path):
     """A motion whose times begin at 100 s has the same report, 100 s later."""
     out, page = tmp_path / "clearance.csv", tmp_path / "motion.html"
-    files = ["--clearance-out", str(out), "--save", str(page)]
+    files = ["--save", str(out), "--save", str(page)]
     kinds = ("times", "velocities", "accelerations")
     scaled = zip(kinds, (0.5, 2.0, 4.0), strict=True)
     fast = replace(trajectory, **{kind: x * getattr(trajectory, kind) for kind, x in scaled})
@@ -382,7 +382,7 @@ def test_times_are_those_of_the_file(judged, trajectory, tmp_path):
 @pytest.mark.parametrize(
     ("options", "told"),
     [
-        (["--clearance-out", "a.txt"], "--clearance-out a.txt: suffix '.txt'"),
+        (["--save", "a.txt"], "--save a.txt: suffix '.txt'; valid choices: .html, .csv"),
         (["--part"], "--part: a part of a motion begins where the arm is: give --current"),
         (["--start-velocity", "1 2"], "--start-velocity has 2 numbers; give 7"),
         (["--end-velocity", "1 2 fast"], "--end-velocity '1 2 fast': write numbers"),
@@ -482,7 +482,7 @@ def test_the_digest_of_a_problem_is_also_of_the_bodies_in_its_robot_file(tmp_pat
     save(tmp_path / "path.csv", [start, start + 0.01])
     for content in (text, text.replace('radius="0.0', 'radius="0.00'), text):
         path.write_text(content)
-        words = [tmp_path / "path.csv", "--problem-file", tmp_path / "p.json", "--json"]
+        words = [tmp_path / "path.csv", tmp_path / "p.json", "--json"]
         digests.append(json.loads(cvqmpt("certify", *words))["problem_sha256"])
     assert digests[0] == digests[2] != digests[1]
 
@@ -497,5 +497,5 @@ def test_the_digest_of_a_problem_is_also_of_the_bodies_in_its_robot_file(tmp_pat
 )
 def test_the_motions_of_a_task_refuse_options_of_one_motion(tmp_path, capsys, options, told):
     (tmp_path / "task.json").write_text("{}")
-    words = [tmp_path, "--task-file", DATA / "task-1.json", *options]
+    words = [tmp_path, DATA / "task-1.json", *options]
     assert told in refused(capsys, "certify", *words)

@@ -30,7 +30,7 @@ def places(problem_file, scan_folder, tmp_path):
         "{path}": "x.csv",
         "{pipe}": tmp_path / "pipe",
         "{scan}": f"{depth}.png --intrinsics {depth}.intrinsics.json {extrinsics}",
-        "{cloud}": f"--cloud {scan_folder / 'cloud.ply'} {extrinsics}",
+        "{cloud}": f"--cloud {scan_folder / 'cloud.ply'}",
         "{ends}": f"--start {SCAN_START} --goal {SCAN_START[1:]}",
         "{start}": SCAN_START,
     }

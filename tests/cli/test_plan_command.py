@@ -16,7 +16,7 @@ from cvqmpt_lab.robot.load import robot_from_source
 
 def test_plan_prints_a_report_and_writes_the_path(cvqmpt, problem_file, problem, tmp_path):
     out = tmp_path / "path.csv"
-    words = f"plan --problem-file {problem_file} --iterations 20000 --save-path {out}"
+    words = f"plan {problem_file} --iterations 20000 --save {out}"
     lines = cvqmpt(words).splitlines()
     heads = "problem constraint planner status time counts length certificate margin path"
     assert [line.split()[0] for line in lines] == heads.split()
@@ -28,7 +28,7 @@ def test_plan_prints_a_report_and_writes_the_path(cvqmpt, problem_file, problem,
 
 
 def test_a_cost_limits_search_and_improvement_without_a_clock(cvqmpt, problem_file):
-    words = f"plan --problem-file {problem_file} --planner birrt"
+    words = f"plan {problem_file} --planner birrt"
     once, again = (json.loads(cvqmpt(f"{words} --cost 100 --json")) for _ in range(2))
     assert once["solved"] and once["path"] == again["path"] and once["optimize"] is None
     shorter = json.loads(cvqmpt(f"{words} --cost 100 --optimize 20 --json"))
@@ -42,7 +42,7 @@ def test_a_goal_that_collides_is_left_out_and_named(cvqmpt, capsys, problem_file
     del data["goal_region"]
     data |= {"goals": [*problem.goals[:2].tolist(), folded], "constraint": []}
     problem_file.write_text(json.dumps(data))
-    words = f"plan --problem-file {problem_file} --iterations 20000"
+    words = f"plan {problem_file} --iterations 20000"
     lines = cvqmpt(words).splitlines()
     assert lines[0].endswith("2 goals")
     assert lines[1].startswith("left out    goal 2 is in collision: panda_")
@@ -73,7 +73,7 @@ def test_plan_without_success_exits_with_1_and_writes_no_motion(cvqmpt, tmp_path
 
 def test_a_task_is_exported_and_planned(cvqmpt, task, tmp_path):
     cvqmpt("problems export multi-sequence --problems 1 --out", tmp_path)
-    out = cvqmpt("plan --task-file", tmp_path / "multi-sequence-000.json")
+    out = cvqmpt("plan", tmp_path / "multi-sequence-000.json")
     names = [phase.name for phase in task.phases if isinstance(phase, PlannedPhase)]
     assert all(name in out for name in (*names, "solved"))
     exported = Task.load(tmp_path / "multi-sequence-000.json")
@@ -82,10 +82,10 @@ def test_a_task_is_exported_and_planned(cvqmpt, task, tmp_path):
 
 def test_a_new_task_is_planned_into_a_file_a_phase_and_the_events_between(tmp_path, cvqmpt):
     path, folder = tmp_path / "drawer.json", tmp_path / "motions"
-    cvqmpt("problems new --task", path)
+    cvqmpt(f"problems new {path} --task")
     schema = json.loads((tmp_path / json.loads(path.read_text())["$schema"]).read_text())
     Draft202012Validator(schema).validate(json.loads(path.read_text()))
-    told = json.loads(cvqmpt(f"plan --task-file {path} --json --trajectory {folder}"))
+    told = json.loads(cvqmpt(f"plan {path} --json --trajectory {folder}"))
     index = json.loads((folder / "task.json").read_text())["steps"]
     names = ["reach", "approach", "close", "pull", "let-go", "back", "away/1", "away"]
     assert told["solved"] and [phase["phase"] for phase in told["phases"]] == names
@@ -125,7 +125,7 @@ def test_a_new_task_is_planned_into_a_file_a_phase_and_the_events_between(tmp_pa
 def test_json_holds_the_record_that_certify_prints(tmp_path, cvqmpt):
     path, words = tmp_path / "path.csv", "place-task --problem 7 --json"
     told = cvqmpt(
-        f"plan {words} --planner birrt --iterations 20000 --exact-clearance --save-path {path}"
+        f"plan {words} --planner birrt --iterations 20000 --exact-clearance --save {path}"
     )
     planned = json.loads(told)["certificate"]
     assert planned == json.loads(cvqmpt(f"certify {path} {words}")) and planned["valid"]
@@ -139,7 +139,7 @@ def test_a_motion_begins_and_ends_at_poses_of_the_hand(cvqmpt, tmp_path, capsys)
     ends = "--start-pose 0.5,0.3,0.4,3.1,0,0 --goal-pose 0.5,-0.3,0.4,3.1,0,0"
     out = tmp_path / "path.csv"
     words = f"plan {ends} --scene {scene} --constraint upright --iterations 5000"
-    assert "certificate certified" in cvqmpt(f"{words} --save-path {out}")
+    assert "certificate certified" in cvqmpt(f"{words} --save {out}")
     states = np.loadtxt(out, delimiter=",", skiprows=1)
     hand = robot_from_source({"name": "panda"}).poses(states[[0, -1]])[:, :3, 3]
     assert np.allclose(hand, [[0.5, 0.3, 0.4], [0.5, -0.3, 0.4]], atol=1e-3)
@@ -149,5 +149,5 @@ def test_a_motion_begins_and_ends_at_poses_of_the_hand(cvqmpt, tmp_path, capsys)
 
 def test_a_file_may_stand_in_the_place_of_a_suite(cvqmpt, problem_file):
     named = cvqmpt(f"plan {problem_file} --iterations 20000 --json")
-    given = cvqmpt(f"plan --problem-file {problem_file} --iterations 20000 --json")
+    given = cvqmpt(f"plan {problem_file} --iterations 20000 --json")
     assert json.loads(named)["path"] == json.loads(given)["path"]

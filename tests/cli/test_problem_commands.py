@@ -14,14 +14,14 @@ from cvqmpt_lab.problem import PlanningProblem, check_problem
 from cvqmpt_lab.robot.source import read_source
 from cvqmpt_lab.search.space import ConstrainedSpace, direct_motion
 
-IK = "ik --pose '-0.3, 0.5, 0.3, 3.14, 0, 0' --problem-file"
+IK = "ik --pose '-0.3, 0.5, 0.3, 3.14, 0, 0'"
 
 
 @pytest.fixture
 def mine(tmp_path, cvqmpt):
     """Return a problem that `problems new` wrote."""
     path = tmp_path / "mine.json"
-    assert f"cvqmpt plan --problem-file {path}" in cvqmpt("problems new", path)
+    assert f"cvqmpt plan {path}" in cvqmpt("problems new", path)
     return path
 
 
@@ -30,17 +30,17 @@ def test_motions_of_a_new_problem_and_task_need_no_limits_on_the_command_line(tm
     path, motion, task = (tmp_path / name for name in ("mine.json", "motion.json", "door.json"))
     told = cvqmpt("problems new --robot ur5", path)
     assert "acceleration_limits are a guess, the limit of velocity in 0.5 s" in told
-    cvqmpt(f"plan --problem-file {path} --trajectory {motion} --speed 0.1 --rate 100")
+    cvqmpt(f"plan {path} --trajectory {motion} --speed 0.1 --rate 100")
     times = [point["time_from_start"] for point in json.loads(motion.read_text())["points"]]
     seconds = np.array([time["sec"] + 1e-9 * time["nanosec"] for time in times])
     assert np.ptp(np.diff(seconds)) < 1e-6 and 0.005 < np.diff(seconds).max() < 0.01 + 1e-6
-    assert "certificate certified;" in cvqmpt(f"certify {motion} --problem-file {path}")
+    assert "certificate certified;" in cvqmpt(f"certify {motion} {path}")
     start = json.loads(motion.read_text())["points"][0]["positions"]
     current = ["--current", " ".join(map(str, start))]
-    assert "certificate certified;" in cvqmpt(f"certify {motion} --problem-file {path}", *current)
-    assert "a guess" in cvqmpt("problems new --door --robot ur5", task)
+    assert "certificate certified;" in cvqmpt(f"certify {motion} {path}", *current)
+    assert "a guess" in cvqmpt(f"problems new {task} --task door --robot ur5")
     assert Task.load(task).scene.articulations[0].kind == "hinge"
-    told = cvqmpt(f"plan --task-file {task} --trajectory {tmp_path / 'motions'}")
+    told = cvqmpt(f"plan {task} --trajectory {tmp_path / 'motions'}")
     assert "6 files and 2 gripper events" in told
 
 
@@ -48,7 +48,7 @@ def test_a_new_problem_leads_round_an_obstacle_from_a_calm_start_for_any_urdf(tm
     """Formerly a UR10 started with a joint at 4.98 rad, and the box did not block its motion."""
     urdf, path = read_source({"name": "ur10"}).urdf, tmp_path / "new" / "mine.json"
     path.parent.mkdir()
-    assert "end effector tool0 is a guess" in cvqmpt("problems new", path, "--urdf", urdf)
+    assert "end effector tool0 is a guess" in cvqmpt("problems new", path, "--robot", urdf)
     data = json.loads(path.read_text())
     assert set(data["start"]) == set(PlanningProblem.load(path).robot.joint_names)
     assert max(map(abs, data["start"].values())) < np.pi
@@ -105,7 +105,7 @@ def test_a_file_with_comments_is_read_and_the_command_line_says_where_the_hand_i
 def test_postures_of_a_pose_differ_by_more_than_whole_turns(tmp_path, mine, cvqmpt):
     other = tmp_path / "ur5.json"
     other.write_text(json.dumps({**json.loads(mine.read_text()), "robot": {"name": "ur5"}}))
-    told = cvqmpt("ik --pose '0.3 0.3 0.5 3.14 0 0' --count 20 --problem-file", other)
+    told = cvqmpt("ik --pose '0.3 0.3 0.5 3.14 0 0' --count 20", other)
     found = np.array([json.loads(line) for line in told.splitlines() if line.startswith("[")])
     apart = np.abs(np.angle(np.exp(1j * (found[:, None] - found)))).max(axis=-1)
     assert (apart + np.eye(len(found)) > 0.01).all() and 2 <= len(found) <= 8
@@ -113,5 +113,5 @@ def test_postures_of_a_pose_differ_by_more_than_whole_turns(tmp_path, mine, cvqm
 
 
 def test_a_pose_out_of_reach_has_no_configuration(mine, cvqmpt):
-    told = cvqmpt("ik --pose '5 0 0 0 0 0' --problem-file", mine, code=1)
+    told = cvqmpt("ik --pose '5 0 0 0 0 0'", mine, code=1)
     assert "0 postures found, 1 asked; of 100 poses, 100 without inverse kinematics" in told

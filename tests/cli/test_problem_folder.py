@@ -1,4 +1,4 @@
-"""`cvqmpt reproduce --problems-dir`: a folder of problem files as a suite."""
+"""`cvqmpt reproduce FOLDER`: a folder of problem files as a suite."""
 
 import json
 import re
@@ -21,7 +21,7 @@ def changed(path, **fields):
 
 
 def reproduce(folder, out, *more, budget=BUDGET):
-    run_here(["reproduce", "--problems-dir", folder, *budget, "--out", out, *more])
+    run_here(["reproduce", folder, *budget, "--out", out, *more])
     return read_rows(out / RUNS_FILE)
 
 
@@ -55,9 +55,9 @@ def test_it_has_rows_a_table_a_report_and_is_continued(folder, tmp_path, cvqmpt,
     assert reproduce(folder, out) == both and both[1].solved
     assert "my shelves: 2 problems" in capsys.readouterr().out
     cvqmpt("report", out)
-    assert "cvqmpt plan --problem-file FILE --planner PLANNER" in (out / "report.html").read_text()
-    assert "name it with --problems-dir" in refused(capsys, "certify", out)
-    told = cvqmpt("certify", out, "--problems-dir", folder)
+    assert "cvqmpt plan FILE --planner PLANNER" in (out / "report.html").read_text()
+    assert f"name it: cvqmpt certify {out} FOLDER" in refused(capsys, "certify", out)
+    told = cvqmpt("certify", out, folder)
     assert told == "2 paths, 2 certified, 0 not certified, 0 differ from their rows\n"
 
 
@@ -73,10 +73,10 @@ def test_a_changed_file_is_not_mixed_with_earlier_rows_and_a_new_one_is_added(
     assert added[:2] == rows and {*session["problem_files"]} == {"first-2-carry", "third"}
     capsys.readouterr()
     changed(folder / "room.json", name="another room")
-    again = refused(capsys, "reproduce", "--problems-dir", folder, *BUDGET, "--out", out)
+    again = refused(capsys, "reproduce", folder, *BUDGET, "--out", out)
     told = r'problem_files.first-2-carry was "[0-9a-f]{64}", now "[0-9a-f]{64}".*--out'
     assert re.search(told, again)
-    certified = refused(capsys, "certify", out, "--problems-dir", folder)
+    certified = refused(capsys, "certify", out, folder)
     assert "problem 'first-2-carry' of" in certified and "is not the one that was run" in certified
     assert read_rows(out / RUNS_FILE) == added
 
@@ -85,7 +85,7 @@ def test_folders_that_are_no_suite_are_refused_before_anything_runs(folder, tmp_
     out = tmp_path / "out"
 
     def check(told, where=folder, *more):
-        words = ["reproduce", "--problems-dir", where, *(more or BUDGET), "--out", out]
+        words = ["reproduce", where, *(more or BUDGET), "--out", out]
         assert re.search(told, refused(capsys, *words))
         assert not out.exists()
 

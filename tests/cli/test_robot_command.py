@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from command_line import refused
+from command_line import refused, run_here
 from PIL import Image
 
 from cvqmpt_lab.problem import PlanningProblem
@@ -40,9 +40,39 @@ def arm_file(tmp_path, slider_arm):
 
 
 def test_joints_are_locked(cvqmpt, capsys, arm_file, slider_arm_urdf):
-    words = f"plan --problem-file {arm_file()} --urdf {slider_arm_urdf} --end-effector tool"
-    assert "robot slider_arm needs (4,)" in refused(capsys, *words.split())
-    cvqmpt(words, "--lock", "rail=0.2", "--iterations", "20000")
+    file = arm_file()
+    words = f"plan {file} --iterations 20000 --robot"
+    hand = f"robot {slider_arm_urdf} --end-effector tool --out"
+    robot = file.parent / "robot.json"
+    cvqmpt(hand, robot)
+    assert "robot slider_arm needs (4,)" in refused(capsys, *words.split(), robot)
+    cvqmpt(hand, robot, "--lock", "rail=0.2")
+    cvqmpt(words, robot)
+
+
+def test_a_robot_file_has_every_option_and_paths_relative_to_it(cvqmpt, tmp_path, slider_arm_urdf):
+    arm, file = tmp_path / "arms" / "arm.urdf", tmp_path / "robot.json"
+    arm.parent.mkdir()
+    arm.write_bytes(slider_arm_urdf.read_bytes())
+    for name in ("a.srdf", "b.yaml"):
+        (tmp_path / name).write_text('<robot name="slider_arm"/>' if name == "a.srdf" else "{}")
+    limits = "--velocity 1 --acceleration 2 --jerk 30 --effort 40 --tool-speed 0.5,1"
+    poses = "--base 0,0,0.1 --tool 0,0,0.1,0,0,0 --lock rail=0.2 --package-dir /tmp"
+    flags = "--hard-limits --visual-as-collision --skip-missing-meshes --bodies hulls"
+    words = f"robot {arm} --end-effector tool --srdf {tmp_path}/a.srdf {limits} {poses} {flags}"
+    cvqmpt(words, "--out", file)
+    data = json.loads(file.read_text())
+    assert data["urdf"] == "arms/arm.urdf" and data["srdf"] == "a.srdf"
+    assert data["package_dirs"] == ["/tmp"] and data["locked"] == {"rail": 0.2}
+    assert data["frame_limits"] == {"tool": {"speed": 0.5, "turning_speed": 1.0}}
+    once = json.loads(cvqmpt(f"robot {file} --json"))
+    assert once == json.loads(cvqmpt(words, "--json"))
+
+
+def test_a_urdf_alone_is_a_robot_whose_end_effector_is_a_guess(cvqmpt, capsys, slider_arm_urdf):
+    cvqmpt(f"fk 0,0,0,0 --robot {slider_arm_urdf}")
+    run_here(["fk", "0,0,0,0", "--robot", slider_arm_urdf])
+    assert "end effector tool is a guess; cvqmpt robot" in capsys.readouterr().err
 
 
 def test_options_alone_speak_of_the_files_own_robot_whose_path_is_seen_from_the_file(
@@ -51,7 +81,10 @@ def test_options_alone_speak_of_the_files_own_robot_whose_path_is_seen_from_the_
     robot = {"urdf": "arm.urdf", "end_effector": "tool", "locked": {"rail": 0.0}}
     file = arm_file(robot=robot)
     (file.parent / "arm.urdf").write_bytes(slider_arm_urdf.read_bytes())
-    words = f"plan --problem-file {file} --iterations 20000"
+    words = f"plan {file} --iterations 20000"
     cvqmpt(words)
-    cvqmpt(words, "--acceleration", 2, "--trajectory", file.parent / "t.csv")
-    assert "robot slider_arm needs (2,)" in refused(capsys, *words.split(), "--lock", "bend=0")
+    changed = file.parent / "changed.json"
+    cvqmpt(f"robot {file} --acceleration 2 --out", changed)
+    cvqmpt(words, "--robot", changed, "--trajectory", file.parent / "t.csv")
+    cvqmpt(f"robot {file} --lock bend=0 --out", changed)
+    assert "robot slider_arm needs (2,)" in refused(capsys, *words.split(), "--robot", changed)

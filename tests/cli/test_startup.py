@@ -109,10 +109,12 @@ def test_help_of_plan_has_the_names_and_defaults_of_the_library():
         words = options[option].help.replace(",", " ").split()
         assert {*names} <= {*words}, option
     scan, margin = ScanSettings(), Margin()
-    defaults = {"margin": margin.metres, "margin_angle": margin.radians}
-    for name in ("voxel", "robot_margin", "neighbours"):
-        defaults[name] = getattr(scan, name)
-    for option, value in defaults.items():
+    assert options["margin"].default == (margin.metres, margin.radians)
+    assert f"({margin.metres},{margin.radians};" in options["margin"].help
+    (commands,) = (a for a in parser_with(["scan"])._actions if a.dest == "command")
+    options = {action.dest: action for action in commands.choices["scan"]._actions}
+    for option in ("voxel", "robot_margin", "neighbours"):
+        value = getattr(scan, option)
         assert options[option].default == value and f"({value}" in options[option].help
     assert f"(default: {scan.down:g})" in options["down"].help
     assert f"({MAP_RESOLUTION_M:g})" in options["map"].help  # without a default beside --radius

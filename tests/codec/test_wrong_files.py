@@ -51,8 +51,7 @@ def test_one_line_names_the_field_and_the_cure(row, good, capsys, tmp_path, monk
     else:
         holder[last] = json.loads(row["value"])
     (tmp_path / "mine.json").write_text(json.dumps(data))
-    option = "--task-file" if row["base"] == "task" else "--problem-file"
-    said = refused_command(capsys, "plan", option, "mine.json")
+    said = refused_command(capsys, "plan", "mine.json")
     assert row["line"] in said and row["also"] in said
     assert said.startswith("cvqmpt: mine.json: ") or row["base"].startswith("tray")
 
@@ -72,7 +71,7 @@ def test_a_start_off_the_chain_is_refused_with_F_or_projected(good, cvqmpt, caps
     data, path = json.loads(json.dumps(good["tray"])), tmp_path / "mine.json"
     data["start"][6] += 0.05
     path.write_text(json.dumps(data))
-    line = refused_command(capsys, "plan", "--problem-file", path)
+    line = refused_command(capsys, "plan", path)
     assert "start breaks `pose` by 0.05 rad" in line and "|F| = 0.0" in line
     assert "--project-start" in line
-    assert "certificate certified" in cvqmpt("plan --project-start --problem-file", path)
+    assert "certificate certified" in cvqmpt("plan --project-start", path)

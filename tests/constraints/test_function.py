@@ -221,9 +221,9 @@ def test_problem_files_name_functions_which_run_only_where_that_is_allowed(
         {"function": "own_constraints:bounded_circle", "bound": 30.0}
     ]
     path = tmp_path / "path.csv"
-    plan = ["plan", str(file), "--planner", "birrt", "--margin", "0", "--margin-angle", "0"]
+    plan = ["plan", str(file), "--planner", "birrt", "--margin", "0,0"]
     assert main(plan) == 2 and "--allow-code if you trust" in capsys.readouterr().err
-    assert main([*plan, "--allow-code", "--save-path", str(path)]) == 0
+    assert main([*plan, "--allow-code", "--save", str(path)]) == 0
     assert "certified (" in capsys.readouterr().out
     monkeypatch.setattr(Code, "allowed", False)
     around_the_pole.changed(constraint=()).save(file)
@@ -248,10 +248,10 @@ def test_a_folder_of_problems_that_name_functions_is_reproduced_where_that_is_al
     folder.mkdir()
     around_the_pole.changed(constraint=(own,)).save(folder / "around.json")
     few = ["--planners", "birrt", "--iterations", "20000", "--jobs", "1"]
-    words = ["reproduce", "--problems-dir", str(folder), *few, "--out", out]
+    words = ["reproduce", str(folder), *few, "--out", out]
     assert main(words) == 2 and "--allow-code if you trust" in capsys.readouterr().err
     assert main([*words, "--allow-code"]) == 0
-    assert main(["certify", out, "--problems-dir", str(folder), "--allow-code"]) == 0
+    assert main(["certify", out, str(folder), "--allow-code"]) == 0
     assert "1 paths, 1 certified" in capsys.readouterr().out
     monkeypatch.setattr(Code, "allowed", False)
     guard = ["check-tables", str(folder), "--jobs", "1"]

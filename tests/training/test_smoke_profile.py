@@ -15,10 +15,14 @@ from cvqmpt_lab.vqmpt.sequence_predictor import PublishedPredictor
 from cvqmpt_lab.vqmpt.weights import robot_signature
 
 
-@pytest.mark.parametrize("robot_options", ["", "--robot tiago-no-hand --base 0,0,-0.6"])
-def test_from_scenes_to_a_prediction(tmp_path, cvqmpt, robot_options):
+@pytest.mark.parametrize("robot", [None, "tiago-no-hand"])
+def test_from_scenes_to_a_prediction(tmp_path, cvqmpt, robot):
     """The Panda, and an arm of eight joints whose first joint is prismatic."""
     data, stage1, out = tmp_path / "data", tmp_path / "stage1", tmp_path / "model"
+    robot_options = ""
+    if robot is not None:
+        robot_options = f"--robot {tmp_path / 'robot.json'}"
+        cvqmpt(f"robot {robot} --base 0,0,-0.6 --out {tmp_path / 'robot.json'}")
     # the first scene of each family is for validation
     few = f"--scenes 4 --paths-per-scene 4 --seed 9 --family kitchen-like,shelves {robot_options}"
     common = f"--profile smoke --data {data} --device cpu --epochs 1"

@@ -2,7 +2,6 @@
 
 import json
 import re
-from argparse import Namespace
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.cli.main import main
-from cvqmpt_lab.cli.problem_arguments import with_tool_speed
+from cvqmpt_lab.cli.robot_command import with_tool_speed
 from cvqmpt_lab.features.motion.trajectory import Motion
 from cvqmpt_lab.features.moveit_requests.motion_request import (
     MotionRequest,
@@ -336,7 +335,9 @@ def test_obstacles_are_where_the_frame_of_their_poses_is(tmp_path, certified, pr
         "primitive_poses": [{"position": dict(zip("xyz", hand.tolist(), strict=True))}],
     }
     file = tmp_path / "s.yaml"
-    words = ("--scene", str(file), "--base", "0,0,1")
+    robot = tmp_path / "robot.json"
+    assert main(["robot", "panda", "--base", "0,0,1", "--out", str(robot)]) == 0
+    words = ("--scene", str(file), "--robot", str(robot))
     for frame, code, said in (
         ("panda_link0", 1, "in collision: panda_"),
         ("world", 0, "certificate certified"),
@@ -345,7 +346,7 @@ def test_obstacles_are_where_the_frame_of_their_poses_is(tmp_path, certified, pr
     ):
         ball["header"]["frame_id"] = frame
         file.write_text(json.dumps({"world": {"collision_objects": [ball]}}))
-        found = certified(ANYTHING, "--robot", "panda", *words)
+        found = certified(ANYTHING, *words)
         assert found[0] == code and said in found[1], (frame, found)
 
 
@@ -364,8 +365,9 @@ def test_held_joints_are_where_the_scene_says(tmp_path, certified, request_of, p
     assert code == 2 and "s.yaml" in told and "robot_state has panda_finger_joint1 at" in told
     lock = f"panda_finger_joint1={value:.9g}"
     assert f": give --lock {lock}" in told
-    options = ("--robot", "panda", "--lock", lock)
-    code, told = certified(request_of(), "--scene", tmp_path / "s.yaml", *options)
+    robot = tmp_path / "robot.json"
+    assert main(["robot", "panda", "--lock", lock, "--out", str(robot)]) == 0
+    code, told = certified(request_of(), "--scene", tmp_path / "s.yaml", "--robot", robot)
     assert code == 0, told
 
 
@@ -381,7 +383,7 @@ def test_the_stricter_of_two_limits_of_the_hand_counts():
         )
         assert problem.robot.frame_limits == {"panda_hand": FrameLimit(speed, 0.2)}
     for option, turning in (([1.0], 0.2), ([1.0, 2.0], 2.0)):
-        changed = with_tool_speed(Namespace(tool_speed=option), limited)
+        changed = with_tool_speed(limited, option)
         assert changed.frame_limits == {"panda_hand": FrameLimit(1.0, turning)}
 
 
