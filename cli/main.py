@@ -92,7 +92,7 @@ OTHER_WORDS = {
 # Options that `cvqmpt plan --help` shows; --help-all shows all.
 SHORT = {
     "plan": "-h suite --problem --robot --planner --cutoff --seed --start --goal --goal-pose "
-    "--constraint --cloud --picture --save --trajectory"
+    "--constraint --cloud --scene --picture --save --trajectory"
 }
 
 # Small networks are several times slower on many threads, and runs share the cores already.

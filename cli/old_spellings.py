@@ -182,6 +182,23 @@ OLD: Mapping[str, tuple[Collection[str], Cure]] = {
 }
 
 
+def _whole(word: str, names: Collection[str], known: Collection[str]) -> str:
+    """Return the option of earlier versions that a word abbreviates, or the word.
+
+    Args:
+        word: a word of the command line.
+        names: options of earlier versions.
+        known: options of the command, whose abbreviations stay.
+    """
+    begin, equals, value = word.partition("=")
+    if len(begin) < 4 or not begin.startswith("--") or begin in names:
+        return word
+    found = [name for name in names if name.startswith(begin)]
+    if len(found) != 1 or any(name.startswith(begin) for name in known):
+        return word
+    return f"{found[0]}{equals}{value}"
+
+
 def refuse_old(command: str, words: Sequence[str], known: Collection[str]) -> None:
     """Refuse the first option of an earlier version, with its new spelling.
 
@@ -190,8 +207,8 @@ def refuse_old(command: str, words: Sequence[str], known: Collection[str]) -> No
         words: the command line.
         known: options of the command, which are not refused.
     """
-    line = Line(command, words)
     names = {name for name, (commands, _) in OLD.items() if command in commands}
+    line = Line(command, [_whole(word, names, known) for word in words])
     for given in line.options(names):
         if given.name in known and (given.name != "--json" or not given.values):
             continue

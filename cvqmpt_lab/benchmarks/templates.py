@@ -136,7 +136,7 @@ def with_limits(source: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
             joint = robot.joint_names[int(np.argmin(np.isfinite(below) & (below > 0.0)))]
             notes.append(
                 f"{kind}_limits are not written: the URDF states no velocity limit of {joint}; "
-                "give --velocity"
+                "write them by cvqmpt robot --velocity"
             )
             continue
         values = (below / seconds).round(3) if known is None else known

@@ -77,6 +77,14 @@ def test_a_message_about_a_robot_says_where_its_option_stands(capsys, tmp_path):
     assert f"cvqmpt robot {tmp_path / 'mine.json'} --acceleration ... --out robot.json" in said
 
 
+def test_abbreviations_are_answered_too(capsys):
+    said = refused(capsys, "plan", "--problem-f", "mine.json")
+    assert said.endswith(
+        "unknown option --problem-file mine.json; write mine.json alone: cvqmpt plan mine.json"
+    )
+    assert "--accel" in refused(capsys, "certify", "m.csv", "mine.json", "--accel=3")
+
+
 def test_option_slots_stay_few():
     slots = {command: len(actions_of(command)) - 1 for command in COMMANDS}
     assert sum(slots.values()) <= MOST_SLOTS and slots["plan"] <= MOST_OF_PLAN
