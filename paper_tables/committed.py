@@ -18,8 +18,8 @@ from cvqmpt_lab.benchmarks.results.provenance import (
 )
 from cvqmpt_lab.benchmarks.results.row import RUNS_FILE, read_rows
 from cvqmpt_lab.paper_tables import pages
+from cvqmpt_lab.paper_tables.citation import citation
 from cvqmpt_lab.paper_tables.claims import Evidence, JudgedClaim
-from cvqmpt_lab.paper_tables.metadata import metadata_files
 from cvqmpt_lab.paper_tables.quoted import Quoted, what_to_use
 from cvqmpt_lab.paper_tables.rendering import rendered_tables
 from cvqmpt_lab.paper_tables.statements import PUBLISHED
@@ -139,7 +139,7 @@ def with_part(text: str, part: str, table: str) -> str:
 def committed_pages(
     found: Mapping[str, Evidence], claims: Sequence[JudgedClaim]
 ) -> dict[Path, str]:
-    """Return the page of claims and, in a checkout, README, results.md and metadata, by path."""
+    """Return the page of claims and, in a checkout, README, results.md, CITATION.cff, by path."""
     texts = {pages.PAGE: pages.page_text(found, claims, pages.PAGE.parent)}
     if in_checkout():
         quoted = Quoted(found)
@@ -152,7 +152,7 @@ def committed_pages(
         for part, written in parts.items():
             text = with_part(text, part, written)
         texts[README] = text
-        texts |= metadata_files(found, README.parent)
+        texts[README.parent / "CITATION.cff"] = citation(README.parent)
     return texts
 
 
