@@ -12,7 +12,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from cvqmpt_lab.base.codec import field_kinds, from_plain
+from cvqmpt_lab.base.codec import field_defaults, field_kinds, from_plain
 from cvqmpt_lab.base.errors import (
     InvalidInputError,
     at,
@@ -316,6 +316,26 @@ class RegionForm:
             raise InvalidInputError(f"{where}: {name} is about no frame: leave out {HAND_FIELD}")
         hand = from_plain(Name | None, value[HAND_FIELD], at(where, HAND_FIELD))
         return made.changed(end_effector=hand)
+
+    def schema(self, schema_of: Any) -> dict[str, Any]:
+        """Return the JSON schema of all regions: in full, and by each name."""
+        found = [schema_of(TaskSpaceRegion), schema_of(TaskSpaceRegionChain)]
+        for name, kind in NAMED_REGIONS.items():
+            content = schema_of(kind)
+            first, *others = field_kinds(kind).items()
+            if first[1] is not Any and field_defaults(kind).keys() >= dict(others).keys():
+                alone = {"not": {"type": "object"}, **schema_of(first[1])}
+                content = {"anyOf": [alone, content]}
+            fields = {name: content, HAND_FIELD: schema_of(Name | None), "_comment": {}}
+            found.append(
+                {
+                    "type": "object",
+                    "properties": fields,
+                    "required": [name],
+                    "additionalProperties": False,
+                }
+            )
+        return {"anyOf": found}
 
 
 Region = Annotated[TaskSpaceRegion, RegionForm()]

@@ -88,9 +88,15 @@ class BoundsForm:
         """Return the rows, infinite bounds as null."""
         return [[None if np.isinf(bound) else float(bound) for bound in row] for row in value]
 
+    def schema(self, schema_of: Any) -> dict[str, Any]:
+        """Return the JSON schema, whose rows have a title."""
+        row = schema_of(tuple[float | None, float | None])
+        rows = [{**row, "title": f"{ROWS[k]} [{UNITS[k]}]"} for k in range(6)]
+        return {"type": "array", "prefixItems": rows, "minItems": 6, "maxItems": 6}
+
 
 Bounds = Annotated[FloatArray, BoundsForm()]
-Tolerance = Annotated[float, Condition(float, lambda x: x >= 0.0, "0 or more")]
+Tolerance = Annotated[float, Condition(float, {"minimum": 0.0}, "0 or more")]
 Span = tuple[Tolerance, Tolerance | None]  # lower and upper bound; None: no upper bound
 
 
