@@ -1,8 +1,7 @@
-"""Modules of this package by the names of their files; import of modules of the user."""
+"""Import of modules of the user, also from the folder in which the command was started."""
 
 import importlib
 import sys
-from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -34,26 +33,3 @@ def imported(what: str, module: str) -> Any:
         raise InvalidInputError(f"{what}: {module} needs {error.name!r}; install it") from error
     except BaseException as error:
         raise InvalidInputError(f"{what}: importing {module} raises {described(error)}") from error
-
-
-class Modules(Mapping[str, Any]):
-    """Modules of a folder by name, in order of the names; each is imported when it is used.
-
-    The name of a module is that of its file without an ending, and with - in place of _.
-    """
-
-    def __init__(self, folder: str, ending: str = "") -> None:
-        """Find the files `folder`/NAME`ending`.py of this package."""
-        self._package = f"cvqmpt_lab.{folder.replace('/', '.')}"
-        files = (Path(__file__).parents[1] / folder).glob(f"[!_]*{ending}.py")
-        stems = sorted(path.stem for path in files)
-        self._stems = {stem.removesuffix(ending).replace("_", "-"): stem for stem in stems}
-
-    def __getitem__(self, name: str) -> Any:
-        return importlib.import_module(f"{self._package}.{self._stems[name]}")
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._stems)
-
-    def __len__(self) -> int:
-        return len(self._stems)

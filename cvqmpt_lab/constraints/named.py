@@ -20,7 +20,7 @@ from cvqmpt_lab.base.errors import (
     require_choice,
     shown,
 )
-from cvqmpt_lab.base.modules import Modules
+from cvqmpt_lab.base.files import Modules
 from cvqmpt_lab.base.values import Name
 from cvqmpt_lab.constraints.task_space_region import (
     Axis,
