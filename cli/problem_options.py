@@ -170,7 +170,8 @@ REGIONS: Options = {  # replaces PROBLEM's option in commands with --start and -
         f"for --start and --goal: {', '.join(Modules('constraints/by_name'))} "
         "(upright, upright-box and fixed-orientation keep the end effector's orientation at the "
         "start, relative-pose=HAND keeps the other hand's pose relative to HAND, look-at=X,Y,Z "
-        "keeps a point ahead of it), or a region as json; for any problem: module:F, a constraint function of your own; repeatable",
+        "keeps a point ahead of it), or a region as json; for any problem: module:F, a constraint "
+        "function of your own; repeatable",
         metavar="NAME[=VALUE]|JSON|MODULE:F",
         **REPEATED,
     ),

@@ -12,6 +12,7 @@ import math
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -333,3 +334,15 @@ class Modules(Mapping[str, Any]):
 
     def __len__(self) -> int:
         return len(self._stems)
+
+
+@dataclass(frozen=True)
+class Imported:
+    """A function of a module that is imported when the function is first called."""
+
+    name: str  # MODULE:FUNCTION
+
+    def __call__(self, *arguments: Any, **options: Any) -> Any:
+        """Call the function."""
+        module, _, function = self.name.partition(":")
+        return getattr(importlib.import_module(module), function)(*arguments, **options)

@@ -7,10 +7,10 @@ from collections.abc import Mapping
 from functools import partial
 from itertools import product
 
+from cvqmpt_lab.base.files import Imported
 from cvqmpt_lab.benchmarks.scene_suites import scene_suites, two_arm_suites
 from cvqmpt_lab.benchmarks.suite_parts import (
     Amount,
-    Imported,
     PlannerGroups,
     Suite,
     problem_maker,
