@@ -15,6 +15,7 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import Any, NoReturn
 
+import cvqmpt_lab
 from cvqmpt_lab.base.arithmetic import without_library_tuning
 from cvqmpt_lab.base.errors import CvqmptError, InvalidInputError, UnknownChoiceError, nearest
 
@@ -51,6 +52,7 @@ COMMANDS = {  # by name: NAME of the module cvqmpt_lab.cli.NAME_command, and a s
         "time of one state check in the paper's simulator",
     ),
     "warmup": ("setup", "compile all kernels ahead of time"),
+    "completion": ("setup", "print the completion of commands and options for a shell"),
     "doctor": ("setup", "list what is installed, what is missing and how to install it"),
 }
 
@@ -117,9 +119,7 @@ class Version(argparse.Action):
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
         """Print the version and exit."""
-        from importlib.metadata import version
-
-        print(f"cvqmpt_lab {version('cvqmpt-lab')}")
+        print(f"cvqmpt_lab {cvqmpt_lab.__version__}")
         parser.exit()
 
 
