@@ -31,8 +31,8 @@ help:
 venv: $(STAMP)
 
 $(STAMP): pyproject.toml constraints.txt
-	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 14))' \
-		|| { echo "Python 3.11, 3.12 or 3.13 is needed: make venv PYTHON=/path/to/python3.11"; exit 1; }
+	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 15))' \
+		|| { echo "Python 3.11, 3.12, 3.13 or 3.14 (without OMPL) is needed: make venv PYTHON=/path/to/python3.11"; exit 1; }
 	$(PYTHON) -m venv .venv
 ifdef LOCKED
 	$(BIN)/python -m pip install --quiet --require-hashes -r locked.txt

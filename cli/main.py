@@ -16,6 +16,7 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any, NoReturn
 
+import cvqmpt_lab
 from cvqmpt_lab.base.arithmetic import without_library_tuning
 from cvqmpt_lab.base.errors import CvqmptError, InvalidInputError, UnknownChoiceError, nearest
 from cvqmpt_lab.cli.options import NOTES
@@ -67,6 +68,7 @@ HEADINGS: Mapping[str, Mapping[str, tuple[str, str]]] = {
             "measure the times of planning stages, and of a check in the paper's simulator",
         ),
         "warmup": ("setup", "compile all kernels ahead of time"),
+        "completion": ("setup", "print the completion of commands and options for a shell"),
         "doctor": ("setup", "list what is installed, what is missing and how to install it"),
     },
     "learn": {
@@ -154,9 +156,7 @@ class Version(argparse.Action):
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
         """Print the version and exit."""
-        from importlib.metadata import version
-
-        print(f"cvqmpt_lab {version('cvqmpt-lab')}")
+        print(f"cvqmpt_lab {cvqmpt_lab.__version__}")
         parser.exit()
 
 

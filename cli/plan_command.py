@@ -3,7 +3,7 @@
 from functools import partial
 from pathlib import Path
 
-from cvqmpt_lab.benchmarks.suite_parts import Imported, PlannerGroups
+from cvqmpt_lab.base.files import Imported
 from cvqmpt_lab.cli.options import (
     FLAG,
     REACH,
@@ -28,6 +28,7 @@ from cvqmpt_lab.cli.problem_options import (
     optimize_option,
     velocity_options,
 )
+from cvqmpt_lab.planners import declared
 
 # default of --optimize: on the templates of six arms, paths after 1 s are at most 1 % shorter
 OPTIMIZE_S = 0.25
@@ -45,7 +46,7 @@ OPTIONS: Options = {
     **ROBOT,
     **MARGIN,
     "--planner": option(
-        f"one of {', '.join((*PlannerGroups.every, *PlannerGroups.in_ompl))}, or "
+        f"one of {', '.join(declared())}, or "
         "package.module:planner (roadmap; birrt for a task or a held mechanism)"
     ),
     **WEIGHTS,

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cvqmpt_lab.base.errors import InvalidInputError, require_choice
+from cvqmpt_lab.base.files import Modules
 from cvqmpt_lab.cli.options import (
     FLAG,
     REPEATED,
@@ -191,12 +192,11 @@ PROBLEM: Options = {
 
 REGIONS: Options = {  # replaces PROBLEM's option in commands with --start and --goal
     "--constraint": option(
-        "for --start and --goal: upright, upright-box, fixed-orientation, plane, line, pose, "
-        "relative-pose, look-at, distance, on-sphere, on-cylinder, joint-coupling, centre-of-mass "
-        "(the first three keep the end "
-        "effector's orientation at the start, relative-pose=HAND keeps the other hand's pose "
-        "relative to HAND, look-at=X,Y,Z keeps a point ahead of it), or a region as json; for any "
-        "problem: module:F, a constraint function of your own; repeatable",
+        f"for --start and --goal: {', '.join(Modules('constraints/by_name'))} "
+        "(upright, upright-box and fixed-orientation keep the end effector's orientation at the "
+        "start, relative-pose=HAND keeps the other hand's pose relative to HAND, look-at=X,Y,Z "
+        "keeps a point ahead of it), or a region as json; for any problem: module:F, a constraint "
+        "function of your own; repeatable",
         metavar="NAME[=VALUE]|JSON|MODULE:F",
         **REPEATED,
     ),

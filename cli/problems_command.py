@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cvqmpt_lab.base.codec import from_plain, to_plain
+from cvqmpt_lab.base.codec import Document, from_plain, to_plain
 from cvqmpt_lab.base.errors import (
     InvalidInputError,
     UnknownChoiceError,
@@ -27,9 +27,9 @@ from cvqmpt_lab.base.files import (
     json_text,
     make_folder,
     read_json_object,
-    read_text,
     write_text,
 )
+from cvqmpt_lab.base.json_schema import json_schema
 from cvqmpt_lab.benchmarks.declarations import SUITES
 from cvqmpt_lab.benchmarks.item import ExecutedProblem, SensedProblem, UnsolvableProblem
 from cvqmpt_lab.benchmarks.motion_bench import BENCH_ARCHIVE, BENCH_HANDS, fetch
@@ -89,20 +89,26 @@ def _new(args: argparse.Namespace) -> None:
     from cvqmpt_lab.benchmarks.templates import problem_template, with_limits
 
     robot, notes = with_limits(robot_source(args, print) or {"name": "panda"})
+    kind: type[Document]
     if args.task is not None:
-        made = task_template(robot, args.task)
+        kind, made = Task, task_template(robot, args.task)
     else:
-        made = problem_template(robot)
-    schema = made["$schema"]
+        kind, made = PlanningProblem, problem_template(robot)
     write_text(writable_file(path), json_text({**made, "name": path.stem}) + "\n")
-    schemas = Path(__file__).parents[1] / "schemas"  # cvqmpt_lab holds cli
-    write_text(path.parent / schema, read_text(schemas / schema))
+    schema = _write_schema(path.parent, kind)
     for note in notes:
         print(note)
     if args.task is None:
         problem = PlanningProblem.load(path)
         print("\n".join(hand_lines(problem.robot, problem.start)))
     print(f"{path} written, and {schema} for editors; plan it with: cvqmpt plan {path}")
+
+
+def _write_schema(folder: Path, document: type[Document]) -> str:
+    """Write the JSON schema of a kind of file for editors, and return its name."""
+    name = f"{document.__name__.removeprefix('Planning').lower()}.schema.json"
+    write_text(folder / name, json_text(json_schema(document)) + "\n")
+    return name
 
 
 def _import(args: argparse.Namespace) -> None:
@@ -145,15 +151,17 @@ def _export(args: argparse.Namespace) -> None:
     if args.out is None:
         raise InvalidInputError("export needs --out DIR")
     make_folder(args.out)
+    schemas: dict[type[Document], str] = {}
     for index, problem in _problems(args):
-        comment = {}
+        kind = type(problem)
+        schemas[kind] = schemas.get(kind) or _write_schema(args.out, kind)
+        beside = {"$schema": schemas[kind]}
         if args.goals and isinstance(problem, PlanningProblem) and problem.goal_region is not None:
             problem = with_drawn_goals(problem)
-            comment = {
-                "_comment": "These goals are used as they are; delete them to sample new ones from "
-                "goal_region."
-            }
-        text = json_text({**comment, **problem.to_dict()}) + "\n"
+            beside["_comment"] = (
+                "These goals are used as they are; delete them to sample new ones from goal_region."
+            )
+        text = json_text({**beside, **problem.to_dict()}) + "\n"
         write_text(args.out / f"{args.what}-{index:03d}.json", text)
 
 

@@ -13,9 +13,10 @@ from typing import NamedTuple
 from packaging.requirements import Requirement
 
 from cvqmpt_lab.base import arithmetic
-from cvqmpt_lab.base.errors import CvqmptError, install_command
+from cvqmpt_lab.base.errors import CvqmptError, install_command, require_installed
 from cvqmpt_lab.benchmarks.results.provenance import cpu_facts
-from cvqmpt_lab.cli.main import THREADS
+from cvqmpt_lab.cli.main import COMMANDS as COMMAND_NAMES
+from cvqmpt_lab.cli.main import THREADS, parser_with
 from cvqmpt_lab.cli.options import (
     FLAG,
     Options,
@@ -152,6 +153,14 @@ def warmup(args: argparse.Namespace) -> None:
     print(f"kernels ready after {seconds:.1f} s")
 
 
+def completion(args: argparse.Namespace) -> None:
+    """Print the script by which a shell completes commands and options."""
+    require_installed("shtab", "completion", "completion")
+    import shtab
+
+    print(shtab.complete(parser_with(COMMAND_NAMES), shell=args.shell))
+
+
 def bench(args: argparse.Namespace) -> None:
     """Measure and print a table."""
     from cvqmpt_lab.experiments.bench.paper_check import paper_check
@@ -200,4 +209,11 @@ OPTIONS: Options = {
         "for paper-seconds: folder for runs, ratios and provenance", type=Path, metavar="DIR"
     ),
 }
-COMMANDS = {"doctor": (doctor, {}), "warmup": (warmup, {}), "bench": (bench, OPTIONS)}
+SHELLS = ("bash", "zsh")
+SHELL: Options = {"shell": option(", ".join(SHELLS), type=one_of("shell", SHELLS))}
+COMMANDS = {
+    "doctor": (doctor, {}),
+    "warmup": (warmup, {}),
+    "completion": (completion, SHELL),
+    "bench": (bench, OPTIONS),
+}

@@ -108,6 +108,7 @@ __all__ = [
     "upright_box",
 ]
 
+__version__: str  # looked up when it is first used
 _NAMES: dict[str, tuple[str, ...]] = {
     "base.poses": ("Placement", "pose"),
     "benchmarks.suite": ("suite_named",),
@@ -153,7 +154,11 @@ _MODULE_OF = {name: module for module, names in _NAMES.items() for name in names
 if not TYPE_CHECKING:  # with it, type checkers would accept any name
 
     def __getattr__(name: str) -> Any:
-        """Import a public name from the module that defines it."""
+        """Import a public name from the module that defines it; look up the version."""
+        if name == "__version__":
+            from importlib.metadata import version
+
+            return version("cvqmpt-lab")
         if name not in _MODULE_OF:
             known = ", ".join(sorted(__all__, key=str.lower))
             raise AttributeError(

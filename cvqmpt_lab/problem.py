@@ -1,7 +1,7 @@
 """Planning problems: a robot in a scene under a constraint, from a start to any of several goals.
 
 Problems are saved as json, schema ``cvqmpt-problem/1`` (for editors:
-`schemas/problem.schema.json`)::
+`base.json_schema`)::
 
     {"schema": "cvqmpt-problem/1", "name": "...",
      "robot": {"name": "panda", "finger_opening": 0.04}
@@ -54,7 +54,7 @@ from cvqmpt_lab.constraints.region_constraint import (
 from cvqmpt_lab.constraints.report import broken_bound, displacements
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, TaskSpaceRegionChain
 from cvqmpt_lab.robot.dynamics import Dynamics
-from cvqmpt_lab.robot.load import State, numbers_of, robot_from_source
+from cvqmpt_lab.robot.load import SourceForm, State, numbers_of, robot_from_source
 from cvqmpt_lab.robot.robot import Robot, nearest_turn
 from cvqmpt_lab.scene.coal_shapes import loads_of
 from cvqmpt_lab.scene.scene import (
@@ -68,7 +68,7 @@ from cvqmpt_lab.scene.scene import (
 from cvqmpt_lab.scene.scene_files import with_files_read
 
 
-class RobotForm:
+class RobotForm(SourceForm):
     """A robot in json: the source that loads it."""
 
     def read(self, value: Any, where: str) -> Robot:
@@ -90,6 +90,10 @@ class GoalsForm(Array):
         return super().read(
             value if not isinstance(value, list) or value else np.empty((0, 0)), where
         )
+
+    def schema(self, schema_of: Any) -> dict[str, Any]:
+        """The JSON schema of a list of configurations."""
+        return schema_of(tuple[State, ...])
 
 
 RobotOfSource = Annotated[Robot, RobotForm()]
@@ -119,12 +123,24 @@ class MemberForm:
         address, fields = value.source or (value.name, {})
         return {"function": address, **fields}
 
+    def schema(self, schema_of: Any) -> dict[str, Any]:
+        """Return the JSON schema of a region, or of a function with any further fields."""
+        address = {"description": "module:name, or the name of an entry point cvqmpt.constraints"}
+        function = {
+            "type": "object",
+            "description": "A function of your own; its other fields are arguments of the function "
+            "that makes it. Commands need --allow-code.",
+            "properties": {"function": schema_of(str) | address},
+            "required": ["function"],
+        }
+        return {"anyOf": [schema_of(Region), function]}
+
 
 OneMember = Annotated[Member, MemberForm()]
 Members = Annotated[tuple[OneMember, ...], OneOrMore(OneMember)]
 Clearance = Annotated[
     float,
-    Condition(float, lambda x: 0.0 <= x <= 0.2, "a distance from 0 to 0.2 [m]"),
+    Condition(float, {"minimum": 0.0, "maximum": 0.2}, "a distance from 0 to 0.2 [m]"),
 ]
 
 

@@ -5,6 +5,7 @@ packages and the arithmetic, which `base.arithmetic` pins. `Guarded` does the sa
 folder of problem files.
 """
 
+import contextlib
 import json
 import math
 import platform
@@ -22,6 +23,7 @@ from cvqmpt_lab.benchmarks.suite import folder_suite, suite_named
 from cvqmpt_lab.experiments.experiment import Experiment
 from cvqmpt_lab.experiments.run import executor_for, result_row, run_experiment
 from cvqmpt_lab.paper_tables.statements import PUBLISHED
+from cvqmpt_lab.planners import declared
 from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.planning.planners import planner_named
 from cvqmpt_lab.problem import PlanningProblem
@@ -59,26 +61,7 @@ CASES: tuple[Case, ...] = (
     *(
         Case(planner, problem, seed, 20_000, suite)
         for planner, problems, suite in (
-            ("birrt", (2, 5, 8), SUITE),
-            ("birrt-printed", (2,), SUITE),
-            ("cells", (2, 5), SUITE),
-            ("ompl-projected", (2, 5), SUITE),
-            ("ompl-uniform", (2,), SUITE),
-            ("ompl-mpnet", (5,), SUITE),
-            ("ompl-cvq", (2,), SUITE),
-            ("ompl-opt-cvq", (2,), SUITE),
-            ("ompl-cvq-tuned", (5,), SUITE),
-            ("atlas-rrt", (8, 10), SUITE),
-            ("tb-rrt", (8, 10), SUITE),
-            ("ompl-bkpiece", (10,), SUITE),
-            ("mpnet", (2, 5), SUITE),
-            ("mpnet-bridged", (2, 5), SUITE),
-            ("cvq-mpt", (2, 5), SUITE),
-            ("opt-cvq-mpt", (2, 5), SUITE),
-            ("cvq-wide", (5,), SUITE),
-            ("cvq-tuned", (2, 5), SUITE),
-            ("roadmap", (2, 5, 8), SUITE),
-            ("roadmap-cvq", (2, 5, 8), SUITE),
+            *((name, planner.cases, SUITE) for name, planner in declared().items()),
             ("cvq:transformer+wide+projected+no-cloud", (5,), "factorial"),
             ("cvq:random+decoded+algorithm-2+uniform=0.15", (5,), "factorial"),
             ("cvq:oracle+wide+algorithm-2", (2,), "factorial-constraints"),
@@ -105,9 +88,15 @@ class Expectations(NamedTuple):
     outcomes: Mapping[Case, Values]
 
     def save(self, path: Path) -> None:
-        """Write the json file atomically."""
+        """Write the json file atomically; cases that it has stay in their places."""
+        known: list[Case] = []
+        with contextlib.suppress(InvalidInputError):
+            known = [*Expectations.load(path).outcomes]
+        ordered = dict.fromkeys((*known, *self.outcomes))
         rows = [
-            {**case._asdict(), "expected": dict(values)} for case, values in self.outcomes.items()
+            {**case._asdict(), "expected": dict(self.outcomes[case])}
+            for case in ordered
+            if case in self.outcomes
         ]
         record = {"schema": EXPECTATIONS_SCHEMA, "made_with": dict(self.made_with), "runs": rows}
         write_text(path, json.dumps(record, indent=1) + "\n")

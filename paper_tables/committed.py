@@ -18,12 +18,13 @@ from cvqmpt_lab.benchmarks.results.provenance import (
 )
 from cvqmpt_lab.benchmarks.results.row import RUNS_FILE, read_rows
 from cvqmpt_lab.paper_tables import pages
+from cvqmpt_lab.paper_tables.citation import citation
 from cvqmpt_lab.paper_tables.claims import Evidence, JudgedClaim
-from cvqmpt_lab.paper_tables.metadata import metadata_files
 from cvqmpt_lab.paper_tables.quoted import Quoted, what_to_use
 from cvqmpt_lab.paper_tables.rendering import rendered_tables
 from cvqmpt_lab.paper_tables.statements import PUBLISHED
 from cvqmpt_lab.paper_tables.table_engine import by_planner
+from cvqmpt_lab.planners import declared
 
 RESULTS = PUBLISHED.parent / "results"
 README = PUBLISHED.parent.parent / "README.md"
@@ -126,33 +127,43 @@ def _cells(line: str, suffix: str) -> list[str]:
 
 
 def with_part(text: str, part: str, table: str) -> str:
-    """Replace the table between the marks of a part of a README; refuse a README without them."""
+    """Replace the text between the marks of a part of a page; refuse a page without them."""
     begin, end = f"<!-- {part}: written by cvqmpt claims -->", f"<!-- end of {part} -->"
     found = re.compile(f"{re.escape(begin)}\n.*?{re.escape(end)}", re.DOTALL)
     if not found.search(text):
         raise InvalidInputError(
-            f"README has no lines {begin!r} and {end!r}: add both where the table must be"
+            f"the page has no lines {begin!r} and {end!r}: add both where the table must be"
         )
     return found.sub(lambda _: f"{begin}\n{table}{end}", text)
+
+
+def planner_table() -> str:
+    """Return the table of all declared planners but controls."""
+    known = declared() | declared("unshipped")
+    rows = [f"| `{name}` | {planner.description} |\n" for name, planner in known.items()]
+    return "".join(["| planner | description |\n|---|---|\n", *rows])
 
 
 def committed_pages(
     found: Mapping[str, Evidence], claims: Sequence[JudgedClaim]
 ) -> dict[Path, str]:
-    """Return the page of claims and, in a checkout, README, results.md and metadata, by path."""
+    """Return the page of claims and, in a checkout, README, results.md, CITATION.cff, by path."""
     texts = {pages.PAGE: pages.page_text(found, claims, pages.PAGE.parent)}
     if in_checkout():
         quoted = Quoted(found)
         texts[DOCS / "results.md"] = pages.rendered("results.md.j2", quoted=quoted)
         parts = {
-            "answer": pages.rendered("answer.md.j2", quoted=quoted),
-            "planners": pages.rendered("readme.md.j2", quoted=quoted),
+            README: {
+                "answer": pages.rendered("answer.md.j2", quoted=quoted),
+                "planners": pages.rendered("readme.md.j2", quoted=quoted),
+            },
+            DOCS / "method.md": {"planners": planner_table()},
         }
-        text = read_text(README)
-        for part, written in parts.items():
-            text = with_part(text, part, written)
-        texts[README] = text
-        texts |= metadata_files(found, README.parent)
+        for path, written in parts.items():
+            texts[path] = read_text(path)
+            for part, text in written.items():
+                texts[path] = with_part(texts[path], part, text)
+        texts[README.parent / "CITATION.cff"] = citation(README.parent)
     return texts
 
 

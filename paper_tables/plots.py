@@ -9,6 +9,7 @@ from zlib import crc32
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.colors import hsv_to_rgb, to_hex
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
@@ -25,6 +26,7 @@ from cvqmpt_lab.paper_tables.measures import (
     time_at,
 )
 from cvqmpt_lab.paper_tables.rule import Word
+from cvqmpt_lab.planners import declared
 
 Groups = Mapping[str, Sequence[ResultRow]]  # rows by planner
 STYLE: Any = {
@@ -35,28 +37,6 @@ STYLE: Any = {
     "font.size": 9.0,
     "axes.spines.top": False,
     "axes.spines.right": False,
-}
-COLOURS = {  # colours of planners
-    "birrt": "#70757d",
-    "birrt-printed": "#b3a58f",
-    "cells": "#2f6f73",
-    "ompl-projected": "#8c6d1f",
-    "ompl-bkpiece": "#c9b458",
-    "atlas-rrt": "#3aa6a6",
-    "tb-rrt": "#7cae3c",
-    "ompl-uniform": "#5c4a2a",
-    "ompl-mpnet": "#5b3f8c",
-    "ompl-cvq": "#f0b95b",
-    "ompl-opt-cvq": "#a8201a",
-    "ompl-cvq-tuned": "#3b0f22",
-    "mpnet": "#8a4fa3",
-    "mpnet-bridged": "#d987c0",
-    "cvq-mpt": "#e58a2f",
-    "opt-cvq-mpt": "#c8452d",
-    "cvq-wide": "#2e8b57",
-    "cvq-tuned": "#6b1d3c",
-    "roadmap": "#1b3fa0",
-    "roadmap-cvq": "#4f9fd9",
 }
 WORD_COLOURS = {
     Word.REPLICATED: "#1a7f37",
@@ -75,15 +55,20 @@ LEGEND_LINE = 0.18  # [inches] of height a planner in a legend
 def line_style(name: str) -> dict[str, Any]:
     """Arguments of matplotlib's `plot` for a planner, or for a variant of it: "birrt improved".
 
-    Variants have the planner's colour and dashes; a planner that is not listed has dots and a
-    colour by its name.
+    Variants have the planner's colour and dashes; a planner that is not declared has dots. Colours
+    that are not declared follow from the name.
     """
     planner, *variant = name.split()
-    chosen = list(COLOURS.values())[crc32(planner.encode()) % len(COLOURS)]
-    colour, dash = COLOURS.get(planner, chosen), "--" if variant else "-"
-    if planner not in COLOURS:
-        dash = ":"
+    known = declared().get(planner)
+    colour = known.colour if known and known.colour else _colour(planner)
+    dash = ":" if known is None else "--" if variant else "-"
     return {"color": colour, "linestyle": dash, "linewidth": 2.6 if planner == OURS else 1.4}
+
+
+def _colour(name: str) -> str:
+    """Return a colour of medium lightness, whose hue is the checksum of a name."""
+    hue: Any = hsv_to_rgb((crc32(name.encode()) % 997 / 997, 0.6, 0.7))
+    return to_hex(hue)
 
 
 def figure_bytes(figure: Figure, kind: str, dpi: int = 160) -> bytes:
@@ -123,7 +108,7 @@ def profile(groups: Groups, kind: str) -> Figure:
         factors = sorted(x / best.get(key, 1.0) for key, x in values.items())
         shares = 100.0 * np.arange(1, len(factors) + 1) / len(groups[name])
         style = line_style(name)
-        if name.split()[0] not in COLOURS:
+        if name.split()[0] not in declared():
             style = {"color": matplotlib.colormaps["tab10"](place % 10), "linewidth": 3.2}
         axes.step(factors, shares, where="post", label=name, **style)
     label = f"{kind} / smallest {kind} of all planners"

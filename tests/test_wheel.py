@@ -14,7 +14,7 @@ from cvqmpt_lab.base.jit import folder
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("cvqmpt_lab", "cli", "experiments", "paper_tables")
 DATA = (
-    *("*.py", "weights/*/*", "schemas/*.json", "show/*.html", "py.typed"),
+    *("*.py", "weights/*/*", "show/*.html", "py.typed"),
     *("published/*", "expected/*", "results/*/*", "templates/*", "README.md"),
 )
 

@@ -3,8 +3,8 @@
 Annotations may be numbers, strings, booleans, `None`, `Literal`, tuples, mappings, dataclasses and
 `Annotated[T, form]`. A form has a method `read(value, where)`, which makes a T from JSON or checks
 a T, and may have `write(value)`, which returns JSON. Every object may have a field "_comment",
-which is ignored. Errors begin with the path of the field. The JSON schemas for editors are in
-`schemas/*.json`.
+which is ignored. Errors begin with the path of the field. `json_schema` writes JSON schemas for
+editors.
 """
 
 import dataclasses
@@ -191,6 +191,11 @@ class Tagged:
             raise UnknownChoiceError(at(where, self.key), name, (*self.choices, *self.by_path))
         return _object(self.choices[name], False, fields, where)
 
+    def schema(self, schema_of: Any) -> dict[str, Any]:
+        """Return the JSON schema of all classes, also of those that name a file."""
+        classes = {**self.choices, **self.by_path}
+        return {"oneOf": [schema_of(kind, {self.key: name}) for name, kind in classes.items()]}
+
     def write(self, value: Any) -> dict[str, Any]:
         """Return an object with the name of the class, then its fields."""
         name = next(name for name, kind in self.choices.items() if type(value) is kind)
@@ -208,6 +213,11 @@ class OneOrMore:
         if isinstance(value, Mapping | str):
             return (from_plain(self.kind, value, where),)
         return _tuple((self.kind, ...), False)(value, where)
+
+    def schema(self, schema_of: Any) -> dict[str, Any]:
+        """Return the JSON schema of both."""
+        one = schema_of(self.kind)
+        return {"anyOf": [one, {"type": "array", "items": one}]}
 
     def write(self, value: tuple) -> list:
         """Return a list."""

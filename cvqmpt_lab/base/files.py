@@ -5,12 +5,14 @@ from __future__ import annotations
 import contextlib
 import csv
 import fcntl
+import importlib
 import io
 import json
 import math
 import os
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -309,3 +311,38 @@ def differences(before: object, now: object, name: str = "") -> list[str]:
     for key in sorted(before.keys() | now.keys()):
         found += differences(before.get(key), now.get(key), f"{name}.{key}" if name else key)
     return found
+
+
+class Modules(Mapping[str, Any]):
+    """Modules of a folder by name, in order of the names; each is imported when it is used.
+
+    The name of a module is that of its file without an ending, and with - in place of _.
+    """
+
+    def __init__(self, folder: str, ending: str = "") -> None:
+        """Find the files `folder`/NAME`ending`.py of this package."""
+        self._package = f"cvqmpt_lab.{folder.replace('/', '.')}"
+        files = (Path(__file__).parents[1] / folder).glob(f"[!_]*{ending}.py")
+        stems = sorted(path.stem for path in files)
+        self._stems = {stem.removesuffix(ending).replace("_", "-"): stem for stem in stems}
+
+    def __getitem__(self, name: str) -> Any:
+        return importlib.import_module(f"{self._package}.{self._stems[name]}")
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._stems)
+
+    def __len__(self) -> int:
+        return len(self._stems)
+
+
+@dataclass(frozen=True)
+class Imported:
+    """A function of a module that is imported when the function is first called."""
+
+    name: str  # MODULE:FUNCTION
+
+    def __call__(self, *arguments: Any, **options: Any) -> Any:
+        """Call the function."""
+        module, _, function = self.name.partition(":")
+        return getattr(importlib.import_module(module), function)(*arguments, **options)

@@ -147,6 +147,10 @@ class PoseForm:
             else value.tolist()
         )
 
+    def schema(self, schema_of: Any) -> dict[str, Any]:
+        """Return the JSON schema of both."""
+        return {"anyOf": [schema_of(Placement), self.matrix.schema(schema_of)]}
+
 
 Pose = Annotated[FloatArray, PoseForm()]
 

@@ -2,7 +2,8 @@
 
 import contextlib
 import math
-from collections.abc import Callable
+import operator
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from numbers import Integral, Real
 from typing import Annotated, Any, TypeAlias, TypeVar
@@ -66,20 +67,35 @@ def bound_text(bound: float, up: bool, digits: int = 2) -> str:
     return text
 
 
-@dataclass(frozen=True)
+BOUNDS: Mapping[str, Callable[[Any, float], bool]] = {
+    "minimum": operator.ge,
+    "exclusiveMinimum": operator.gt,
+    "maximum": operator.le,
+    "exclusiveMaximum": operator.lt,
+    "minLength": lambda text, least: len(text) >= least,
+    "maxLength": lambda text, most: len(text) <= most and text.isprintable(),
+}
+"""Conditions on a scalar by their keyword in JSON schemas."""
+
+
+@dataclass(frozen=True, eq=False)
 class Condition:
-    """Form of a scalar that meets a condition."""
+    """Form of a scalar that keeps bounds."""
 
     kind: type  # float, int or str
-    holds: Callable[[Any], bool]
-    must: str  # the condition in words, for messages: "it must be ..."
+    bounds: Mapping[str, float]  # by a keyword of `BOUNDS`
+    must: str  # the bounds in words, for messages: "it must be ..."
 
     def read(self, value: Any, where: str) -> Any:
-        """Return the value; refuse one that does not meet the condition."""
+        """Return the value; refuse one outside the bounds."""
         value = scalar(self.kind, value, where)
-        if not self.holds(value):
+        if not all(BOUNDS[keyword](value, bound) for keyword, bound in self.bounds.items()):
             raise InvalidInputError(f"{where} is {shown(value)}; it must be {self.must}")
         return value
+
+    def schema(self, schema_of: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
+        """Return the JSON schema."""
+        return {**schema_of(self.kind), **self.bounds}
 
 
 @dataclass(frozen=True)
@@ -113,27 +129,37 @@ class Array:
         """Return the array as nested lists."""
         return value.tolist()
 
+    def schema(self, schema_of: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
+        """Return the JSON schema: lists within lists."""
+        found = schema_of(float)
+        for length in reversed(self.shape):
+            found = {"type": "array", "items": found}
+            if length is not None:
+                found |= {"minItems": length, "maxItems": length}
+        return found
+
 
 Name = Annotated[
     str,
-    Condition(
-        str, lambda s: 0 < len(s) <= 200 and s.isprintable(), "1 to 200 printable characters"
-    ),
+    Condition(str, {"minLength": 1, "maxLength": 200}, "1 to 200 printable characters"),
 ]
 Length = Annotated[
     float,
     Condition(
-        float, lambda x: 0.0 < x <= MAX_LENGTH_M, f"a positive length, up to {MAX_LENGTH_M:g} [m]"
+        float,
+        {"exclusiveMinimum": 0.0, "maximum": MAX_LENGTH_M},
+        f"a positive length, up to {MAX_LENGTH_M:g} [m]",
     ),
 ]
 Mass = Annotated[
-    float, Condition(float, lambda x: 0.0 < x <= 1e3, "a mass above 0, up to 1000 [kg]")
+    float,
+    Condition(float, {"exclusiveMinimum": 0.0, "maximum": 1e3}, "a mass above 0, up to 1000 [kg]"),
 ]
 Padding = Annotated[
     float,
     Condition(
         float,
-        lambda x: 0.0 <= x <= MAX_LENGTH_M,
+        {"minimum": 0.0, "maximum": MAX_LENGTH_M},
         f"a length of 0 or more, up to {MAX_LENGTH_M:g} [m]",
     ),
 ]
@@ -141,7 +167,7 @@ Angle = Annotated[
     float,
     Condition(
         float,
-        lambda x: 0.0 <= x <= FULL_TURN_RAD,
+        {"minimum": 0.0, "maximum": FULL_TURN_RAD},
         "from 0 to 2 pi [rad]: degrees? 10 degrees are 0.1745 rad",
     ),
 ]

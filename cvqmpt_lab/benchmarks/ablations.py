@@ -1,6 +1,6 @@
 """Controls: each differs from a planner in one part, to measure what this part contributes.
 
-`planning.planners` lists them.
+`planners` declares them.
 """
 
 from functools import partial
@@ -66,16 +66,12 @@ def planner_of(name: str) -> Method | None:
     return product(name, choice, another_scene())
 
 
-def controls() -> list[Method]:
-    """Return the controls."""
-    return [
-        Method.simple("guided-birrt", predict=guided),
-        # three sets of random nodes show how much results vary between roadmaps
-        *(
-            roadmap_planner(f"roadmap-uniform-{draw}", partial(spread_nodes, draw=draw))
-            for draw in range(3)
-        ),
-        on_dictionary("roadmap-wrong-scene", costs=other_costs),
-        on_dictionary("roadmap-no-scene", costs=no_costs),
-        on_dictionary("roadmap-true-edges", costs=no_costs, oracle=True),
-    ]
+def control(name: str) -> Method:
+    """Return a control by its name."""
+    kind = name.removeprefix("roadmap-")
+    if kind.startswith("uniform-"):
+        return roadmap_planner(name, partial(spread_nodes, draw=int(kind[-1])))
+    if kind == name:
+        return Method.simple(name, predict=guided)
+    costs = other_costs if kind == "wrong-scene" else no_costs
+    return on_dictionary(name, costs=costs, oracle=kind == "true-edges")

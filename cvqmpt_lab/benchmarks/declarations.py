@@ -1,16 +1,17 @@
 """Every suite, declared once: its problems, planners, amounts and table, see `suite_parts`.
 
-The suites of the kitchen stand here, all others in `scene_suites`.
+The suites of the kitchen stand here, others in `scene_suites`. A file NAME_suite.py with a `SUITE`
+adds one.
 """
 
 from collections.abc import Mapping
 from functools import partial
 from itertools import product
 
+from cvqmpt_lab.base.files import Imported, Modules
 from cvqmpt_lab.benchmarks.scene_suites import scene_suites, two_arm_suites
 from cvqmpt_lab.benchmarks.suite_parts import (
     Amount,
-    Imported,
     PlannerGroups,
     Suite,
     problem_maker,
@@ -335,5 +336,6 @@ SUITES: Mapping[str, Suite] = {
         *two_arm_suites(),
         *_task_suites(),
         _executed_suite(),
+        *(module.SUITE for module in Modules("benchmarks", "_suite").values()),
     )
 }

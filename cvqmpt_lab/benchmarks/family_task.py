@@ -23,13 +23,14 @@ from cvqmpt_lab.benchmarks.place_task import (
     place_problem,
 )
 from cvqmpt_lab.benchmarks.results.row import phase_problem
+from cvqmpt_lab.constraints.by_name.line import line
+from cvqmpt_lab.constraints.by_name.plane import plane
 from cvqmpt_lab.constraints.goals import (
     SAMPLE_MARGIN_M,
     goals_in_any_posture,
     on_manifold,
     sample_region,
 )
-from cvqmpt_lab.constraints.named import line, plane
 from cvqmpt_lab.constraints.task_space_region import FREE, TaskSpaceRegion, upright_box
 from cvqmpt_lab.problem import PlanningProblem, shared_checker
 from cvqmpt_lab.robot.load import panda, robot_from_source

@@ -7,25 +7,14 @@ problem of a suite imports no tables, and rendering a table imports no robots.
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from cvqmpt_lab.base.errors import InvalidInputError
+from cvqmpt_lab.base.files import Imported
+from cvqmpt_lab.planners import declared
 
 if TYPE_CHECKING:
     from cvqmpt_lab.benchmarks.item import Solvable, SuiteItem
-
-
-@dataclass(frozen=True)
-class Imported:
-    """A function of a module that is imported when the function is first called."""
-
-    name: str  # MODULE:FUNCTION
-
-    def __call__(self, *arguments: Any, **options: Any) -> Any:
-        """Call the function."""
-        module, _, function = self.name.partition(":")
-        return getattr(import_module(module), function)(*arguments, **options)
 
 
 def problem_maker(name: str, **options: Any) -> Callable[[Any], Any]:
@@ -37,6 +26,9 @@ def problem_maker(name: str, **options: Any) -> Callable[[Any], Any]:
 def table_maker(name: str, **options: Any) -> Callable[..., Any]:
     """Return a function MODULE:FUNCTION of the tables, with options."""
     return partial(Imported(f"cvqmpt_lab.paper_tables.{name}"), **options)
+
+
+PLACE_TABLE = Imported("cvqmpt_lab.paper_tables.layouts:place_table")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,14 +48,10 @@ class Amount:
 class PlannerGroups:
     """Groups of planners that suites run."""
 
-    quick = (
-        *("birrt", "birrt-printed", "cells", "ompl-projected", "roadmap", "mpnet"),
-        *("mpnet-bridged", "cvq-mpt", "opt-cvq-mpt", "cvq-wide", "cvq-tuned", "roadmap-cvq"),
-    )
-    slow = ("atlas-rrt", "tb-rrt")  # most of their time goes into runs that time out
-    every = (*quick[:4], *slow, "ompl-bkpiece", *quick[4:])
-    # the paper's experiment, in suites of its own
-    in_ompl = ("ompl-uniform", "ompl-mpnet", "ompl-cvq", "ompl-opt-cvq", "ompl-cvq-tuned")
+    quick = (*declared("quick"),)
+    slow = (*declared("slow"),)
+    in_ompl = (*declared("in-ompl"),)
+    every = (*(name for name, planner in declared().items() if planner.group != "in-ompl"),)
     paper = ("ompl-projected", *slow, *in_ompl[1:4])  # Tables I and II
     few = ("birrt", "ompl-projected", "cvq-mpt", "opt-cvq-mpt", "roadmap-cvq")
     tuned = (*few, "birrt-printed", "cvq-tuned")
@@ -85,7 +73,7 @@ class Suite:
     planners: tuple[str, ...] = PlannerGroups.every  # run unless others are named
     amounts: tuple[Amount, ...] = ()
     # SuiteTable of the suite's rows and the paper's numbers
-    table: Callable[..., Any] = Imported("cvqmpt_lab.paper_tables.layouts:place_table")
+    table: Callable[..., Any] = PLACE_TABLE
     # file in ``paper_tables/published`` and environment there of the paper's numbers
     paper: tuple[str, str] | None = None
     # Attachment that pictures show in the hand where the problems do not model it

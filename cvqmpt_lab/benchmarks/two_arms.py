@@ -18,8 +18,8 @@ from cvqmpt_lab.benchmarks.item import UnsolvableProblem
 from cvqmpt_lab.benchmarks.place_task import with_first_goal
 from cvqmpt_lab.benchmarks.results.row import phase_problem
 from cvqmpt_lab.collision.exact import CollisionChecker
+from cvqmpt_lab.constraints.by_name.relative_pose import relative_pose
 from cvqmpt_lab.constraints.goals import SAMPLE_MARGIN_M, find_in_region, first_guesses, solve_poses
-from cvqmpt_lab.constraints.named import relative_pose
 from cvqmpt_lab.constraints.task_space_region import FREE, TaskSpaceRegion, symmetric_region
 from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.problem import PlanningProblem

@@ -24,6 +24,8 @@ from cvqmpt_lab.base.values import (
 from cvqmpt_lab.robot.robot import Robot
 
 Axis = Literal["x", "-x", "y", "-y", "z", "-z"]
+Vector = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
 FREE = np.inf
 # hand x = world z
 UPRIGHT_ROTATION = np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])
@@ -50,6 +52,18 @@ def nearest_axis(vector: np.ndarray) -> Axis:
     """Return the axis of a frame that is nearest to a vector (3,)."""
     k = int(np.argmax(np.abs(vector)))
     return get_args(Axis)[2 * k + (vector[k] < 0.0)]
+
+
+def frame_along(point: Vector, direction: Vector | np.ndarray) -> np.ndarray:
+    """Return a frame (4, 4) at a point whose z axis points along a direction."""
+    if not any(direction):
+        raise InvalidInputError("the direction is 0, 0, 0")
+    # scaled, so that the squared length is neither 0 nor infinite
+    z = np.ldexp(direction, -np.frexp(np.abs(direction).max())[1])
+    z /= np.linalg.norm(z)
+    x = np.cross(np.eye(3)[np.argmin(np.abs(z))], z)
+    x /= np.linalg.norm(x)
+    return rigid(np.stack([x, np.cross(z, x), z], axis=1), point)
 
 
 class BoundsForm:
@@ -88,9 +102,15 @@ class BoundsForm:
         """Return the rows, infinite bounds as null."""
         return [[None if np.isinf(bound) else float(bound) for bound in row] for row in value]
 
+    def schema(self, schema_of: Any) -> dict[str, Any]:
+        """Return the JSON schema, whose rows have a title."""
+        row = schema_of(tuple[float | None, float | None])
+        rows = [{**row, "title": f"{ROWS[k]} [{UNITS[k]}]"} for k in range(6)]
+        return {"type": "array", "prefixItems": rows, "minItems": 6, "maxItems": 6}
+
 
 Bounds = Annotated[FloatArray, BoundsForm()]
-Tolerance = Annotated[float, Condition(float, lambda x: x >= 0.0, "0 or more")]
+Tolerance = Annotated[float, Condition(float, {"minimum": 0.0}, "0 or more")]
 Span = tuple[Tolerance, Tolerance | None]  # lower and upper bound; None: no upper bound
 
 

@@ -1,17 +1,15 @@
-"""Planners by name: those of the paper's tables, more planners, and controls.
+"""Planners by name, which `planners` declares.
 
-A control differs from a planner in one part, to measure the contribution of this part. Modules in
-`PLANNER_MODULES` register more planners: this file does not depend on learned samplers.
+This file does not depend on learned samplers.
 """
 
-import math
-from collections.abc import Iterable
 from dataclasses import replace
 from importlib import import_module
 
 from cvqmpt_lab.base.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegionChain
 from cvqmpt_lab.external.names import entry_point_names, is_external, refuse_clash
+from cvqmpt_lab.planners import declared
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.search.birrt import BiRRT
 from cvqmpt_lab.search.cell_trees import CellSearch
@@ -19,16 +17,34 @@ from cvqmpt_lab.search.method import Method
 from cvqmpt_lab.search.planner_interface import Stages
 from cvqmpt_lab.search.portfolio import roadmap_planner, spread_nodes
 
-PLANNER_MODULES = tuple(
-    import_module(name)
-    for name in ("cvqmpt_lab.vqmpt.learned_planners", "cvqmpt_lab.benchmarks.ablations")
-)
-"""Each may have functions `planners()`, `controls()` and `unshipped_planners()`, which
-return lists of methods (the last ones need weights that are not shipped). Its function
-`planner_of(name)` makes a planner from a composed name, or returns None."""
+# modules with a function `planner_of`, which makes a planner from a composed name, or returns None
+PLANNER_MODULES = ("cvqmpt_lab.vqmpt.learned_planners", "cvqmpt_lab.benchmarks.ablations")
 
 
-def _ompl(name: str, manifold: str, kpiece: bool = False) -> Method:
+def trees(name: str, reach: float | None = None) -> Method:
+    """Return Algorithm 3; reach: its longest extension [rad], None: the tuned one."""
+    return Method.simple(name, search=None if reach is None else BiRRT(reach=reach))
+
+
+def cells(name: str) -> Method:
+    """Return the search of narrow passages."""
+    return replace(Method.simple(name, search=CellSearch()), grows=False)
+
+
+def spread_roadmap(name: str) -> Method:
+    """Return the roadmap of evenly spread configurations."""
+    return roadmap_planner(name, spread_nodes)
+
+
+def ompl(name: str, manifold: str, kpiece: bool = False) -> Method:
+    """Return a planner of OMPL.
+
+    Args:
+        name: name of the planner.
+        manifold: "projected", "atlas" or "tangent-bundle".
+        kpiece: whether it is BKPIECE1, not RRTConnect.
+    """
+
     def build(problem: PlanningProblem, model: str) -> Stages:
         from cvqmpt_lab.search.ompl_planners import OmplSearch  # ompl takes 0.3 s to import
 
@@ -37,7 +53,7 @@ def _ompl(name: str, manifold: str, kpiece: bool = False) -> Method:
     return Method(name, build, needs_charts=manifold != "projected", grows=False)
 
 
-def _ompl_uniform(name: str) -> Method:
+def ompl_uniform(name: str) -> Method:
     """Return the search of `ompl-cvq` with uniform samples."""
 
     def build(problem: PlanningProblem, model: str) -> Stages:
@@ -48,31 +64,7 @@ def _ompl_uniform(name: str) -> Method:
     return Method(name, build, grows=False)
 
 
-def _by_name(methods: Iterable[Method]) -> dict[str, Method]:
-    return {method.name: method for method in methods}
-
-
-def _registered(function: str) -> list[Method]:
-    """Return the methods of a function's name in all `PLANNER_MODULES`."""
-    return [method for module in PLANNER_MODULES for method in getattr(module, function, list)()]
-
-
-PLANNERS = _by_name(
-    (
-        Method.simple("birrt"),
-        # Algorithm 3 as in the paper, without a limit of extensions; `birrt` has the tuned limit
-        Method.simple("birrt-printed", search=BiRRT(reach=math.inf)),
-        replace(Method.simple("cells", search=CellSearch()), grows=False),  # for narrow passages
-        _ompl("ompl-projected", "projected"),
-        _ompl_uniform("ompl-uniform"),
-        _ompl("atlas-rrt", "atlas"),
-        _ompl("tb-rrt", "tangent-bundle"),
-        _ompl("ompl-bkpiece", "projected", kpiece=True),
-        roadmap_planner("roadmap", spread_nodes),
-        *_registered("planners"),
-    )
-)
-CONTROLS = _by_name(_registered("controls"))
+PLANNERS: dict[str, Method] = {name: one.make(name) for name, one in declared().items()}
 
 # names of planners in other libraries, and the similar planners here
 _NAMES_ELSEWHERE = {
@@ -98,9 +90,10 @@ def planner_named(name: str, model: str | None = None, reach: float | None = Non
         raise InvalidInputError(
             f"unknown planner {name!r}; did you mean {_NAMES_ELSEWHERE[plain]}?"
         )
-    ours = {**PLANNERS, **CONTROLS, **_by_name(_registered("unshipped_planners"))}
+    others = declared("control", "unshipped")
+    ours = (*PLANNERS, *others)
     refuse_clash(name, ours)
-    found = ours.get(name) or _composed(name)
+    found = others[name].make(name) if name in others else PLANNERS.get(name) or _composed(name)
     if found is None and is_external(name):
         from cvqmpt_lab.external.door import external_planner  # not needed for planners of ours
 
@@ -116,7 +109,7 @@ def planner_named(name: str, model: str | None = None, reach: float | None = Non
 def _composed(name: str) -> Method | None:
     """Return the planner that one of `PLANNER_MODULES` makes from a composed name, or None."""
     for module in PLANNER_MODULES:
-        found = module.planner_of(name)
+        found = import_module(module).planner_of(name)
         if found is not None:
             return found
     return None

@@ -70,8 +70,34 @@ from cvqmpt_lab.robot.urdf_bodies import Prepared, prepare_bodies
 
 MAX_REACH_M = 10.0  # from the origin; the kernels' distance grid then takes 125 MB
 
-State = Annotated[FloatArray, Array((None,), "numbers [rad or m]")]
-"""A configuration: numbers; in a file also {"joint": value} or a group_state of the SRDF."""
+
+class StateForm(Array):
+    """Form of a configuration: numbers; in a file also {"joint": value} or a group_state."""
+
+    def schema(self, schema_of: Any) -> dict[str, Any]:
+        """Return the JSON schema of all three."""
+        names = {"type": "string", "description": "group_state of the robot's SRDF"}
+        by_joint = schema_of(Mapping[str, float]) | {"description": "value by joint"}
+        return {"anyOf": [super().schema(schema_of), by_joint, names]}
+
+
+class SourceForm:
+    """Form of the source of a robot, which stays as it is in a file."""
+
+    def read(self, value: Any, where: str) -> Any:
+        """Return a mapping."""
+        return dict(mapping(value, where))
+
+    def schema(self, schema_of: Any) -> dict[str, Any]:
+        """Return the JSON schema: a URDF or a named arm, perhaps with a door or drawer."""
+        found = schema_of.object(RobotSource, {}, articulated=ArticulatedObject | None)
+        for name in ("end_effector", "srdf"):  # null stands for an absent field
+            found["properties"][name]["type"] = ["string", "null"]
+        ways = ["name"], ["urdf", "end_effector"], ["urdf", "end_effectors"]
+        return found | {"oneOf": [{"required": way} for way in ways]}
+
+
+State = Annotated[FloatArray, StateForm((None,), "numbers [rad or m]")]
 
 
 def panda(finger_opening: float = PANDA_FINGER_OPENING_M) -> Robot:

@@ -97,7 +97,7 @@ LIMIT_UNITS = {
 SLOW_SPEED = 0.1  # factor of the speed limits for a first try on a real arm (Panda: 0.2 rad/s)
 
 
-Speed = Annotated[float, Condition(float, lambda x: 0.0 < x < np.inf, "a number above 0")]
+Speed = Annotated[float, Condition(float, {"exclusiveMinimum": 0.0}, "a number above 0")]
 
 
 @dataclass(frozen=True)

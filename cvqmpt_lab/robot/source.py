@@ -32,6 +32,10 @@ class PerJoint:
         """Return an array (n,), or () for a single number."""
         return numbers(value, where, "a number, or one a joint")
 
+    def schema(self, schema_of: Any) -> dict[str, Any]:
+        """Return the JSON schema."""
+        return {"anyOf": [schema_of(float), schema_of(tuple[float, ...])]}
+
 
 @dataclass(frozen=True, eq=False)
 class RobotSource:
@@ -71,7 +75,9 @@ class RobotSource:
     base: Pose | None = None
     # (4, 4) pose of the tool in the frame `end_effector`, whose place it takes; None: the identity
     tool: Pose | None = None
-    name: str = ""  # a key of `ARMS`, instead of a URDF; other fields replace the named arm's
+    name: str = (
+        ""  # an arm of `cvqmpt robot`, instead of a URDF; other fields replace the named arm's
+    )
     finger_opening: float | None = None  # opening of each finger of the Panda [m]
     # several frames instead of `end_effector`; a region without a frame refers to the first
     end_effectors: tuple[str, ...] = ()

@@ -75,7 +75,7 @@ class Articulation(Checked):
             )
 
 
-Share = Annotated[float, Condition(float, lambda x: 0.0 <= x <= 1.0, "a share from 0 to 1")]
+Share = Annotated[float, Condition(float, {"minimum": 0.0, "maximum": 1.0}, "a share from 0 to 1")]
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,6 +212,11 @@ class SceneForm:
                 "file, too"
             )
         return from_plain(Scene, value, where)
+
+    def schema(self, schema_of: Any) -> dict[str, Any]:
+        """Return the JSON schema of a scene, or of a path."""
+        path = {"type": "string", "description": "JSON file of a scene"}
+        return {"anyOf": [schema_of(Scene), path]}
 
 
 NamedScene = Annotated[Scene, SceneForm()]

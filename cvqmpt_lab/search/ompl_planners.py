@@ -18,11 +18,19 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from ompl import base as ob
-from ompl import geometric as og
-from ompl import util as ou
 
 from cvqmpt_lab.base.errors import InvalidInputError
+
+try:
+    from ompl import base as ob
+    from ompl import geometric as og
+    from ompl import util as ou
+except ModuleNotFoundError as error:
+    raise InvalidInputError(
+        "planners of OMPL need ompl, which is not installed: it is not available for Python 3.14; "
+        "use Python 3.11 to 3.13, or another planner: birrt, cells, roadmap"
+    ) from error
+
 from cvqmpt_lab.constraints.region_constraint import JumpingConstraint
 from cvqmpt_lab.search.cell_grids import free_rows
 from cvqmpt_lab.search.motion import (

@@ -21,7 +21,7 @@ from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.base.poses import rigid
 from cvqmpt_lab.base.values import Condition, FloatArray, Length
 
-Pixels = Annotated[int, Condition(int, lambda n: 1 <= n <= 2**14, f"1 to {2**14} pixels")]
+Pixels = Annotated[int, Condition(int, {"minimum": 1, "maximum": 2**14}, f"1 to {2**14} pixels")]
 
 
 @dataclass(frozen=True, eq=False)

@@ -50,7 +50,7 @@ class CameraSettings(Checked):
     noise: Padding = 0.0  # standard deviation of noise added to every coordinate of the cloud [m]
     errors: DepthNoise | None = None  # errors of the depth images; None: exact depths
     # number of points, chosen at random and repeated if there are too few; None: all points
-    points: Annotated[int, Condition(int, lambda n: n >= 1, "1 or more")] | None = None
+    points: Annotated[int, Condition(int, {"minimum": 1}, "1 or more")] | None = None
 
     @classmethod
     def like_training(cls, points: int = 1024, noise: float = 0.003) -> "CameraSettings":

@@ -17,14 +17,14 @@ ROLLOUTS_ALONE = f"{BY_ROLLOUTS} alone"
 # added to variances in layer norms of the published architecture and of the dictionary
 LAYER_NORM_EPSILON = 1e-6
 
-Size = Annotated[int, Condition(int, lambda n: 1 <= n <= 1 << 16, f"1 to {1 << 16}")]
-Depth = Annotated[int, Condition(int, lambda n: 1 <= n <= 64, "1 to 64")]
+Size = Annotated[int, Condition(int, {"minimum": 1, "maximum": 1 << 16}, f"1 to {1 << 16}")]
+Depth = Annotated[int, Condition(int, {"minimum": 1, "maximum": 64}, "1 to 64")]
 Dropout = Annotated[
-    float, Condition(float, lambda share: 0.0 <= share < 1.0, "0 or more, and less than 1")
+    float, Condition(float, {"minimum": 0.0, "exclusiveMaximum": 1.0}, "0 or more, and less than 1")
 ]
-Share = Annotated[float, Condition(float, lambda share: 0.0 <= share <= 1.0, "0 to 1")]
-Positive = Annotated[float, Condition(float, lambda x: x > 0.0, "more than 0")]
-NotNegative = Annotated[float, Condition(float, lambda x: x >= 0.0, "0 or more")]
+Share = Annotated[float, Condition(float, {"minimum": 0.0, "maximum": 1.0}, "0 to 1")]
+Positive = Annotated[float, Condition(float, {"exclusiveMinimum": 0.0}, "more than 0")]
+NotNegative = Annotated[float, Condition(float, {"minimum": 0.0}, "0 or more")]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,7 +65,7 @@ class SetAbstractionConfig:
 
     # share of the points that become centres
     ratio: Annotated[
-        float, Condition(float, lambda share: 0.0 < share <= 1.0, "more than 0, at most 1")
+        float, Condition(float, {"exclusiveMinimum": 0.0, "maximum": 1.0}, "more than 0, at most 1")
     ] = 0.75
     radius: Length  # radius of the ball around a centre [m]
     max_neighbours: Size = 64  # maximum number of points used of each ball

@@ -24,7 +24,7 @@ from cvqmpt_lab.base.values import Condition
 from cvqmpt_lab.constraints.constraint import Constraint
 from cvqmpt_lab.vqmpt.codebook import Codebook, CodeGaussians
 
-Count = Annotated[int, Condition(int, lambda n: n >= 1, "1 or more")]
+Count = Annotated[int, Condition(int, {"minimum": 1}, "1 or more")]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -33,11 +33,11 @@ class LatentSettings(Checked):
 
     method: Literal["adam", "gradient"] = "adam"  # gradient: plain gradient descent, as printed
     # step size; with Adam roughly the distance that each entry of z moves in a step
-    eta: Annotated[float, Condition(float, lambda x: x > 0.0, "more than 0")] = 0.05
+    eta: Annotated[float, Condition(float, {"exclusiveMinimum": 0.0}, "more than 0")] = 0.05
     steps: Count = 5  # maximum number of steps
     samples: Count = 16  # N, draws per code
     # a code stops after a step shorter than this
-    delta: Annotated[float, Condition(float, lambda x: x >= 0.0, "0 or more")] = 1e-3
+    delta: Annotated[float, Condition(float, {"minimum": 0.0}, "0 or more")] = 1e-3
     check_samples: Count = 32  # fresh draws per code, on which G is compared after the update
     put_back: bool = True  # whether codes whose G did not decrease return to their first value
 

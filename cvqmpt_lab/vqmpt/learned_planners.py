@@ -1,8 +1,8 @@
-"""The learned planners, which `planning.planners` lists by the functions of this file.
+"""The learned planners, which `planners` declares.
 
-`planners` have shipped weights. `unshipped_planners` need weights of the authors' architecture,
-which are imported or trained. `planner_of` makes a planner of any product of choices, such as
-``cvq:random+wide+projected``. Imports within functions need safetensors, which takes time.
+Some need weights of the authors' architecture, which are imported or trained. `planner_of` makes a
+planner of any product of choices, such as ``cvq:random+wide+projected``. Imports within functions
+need safetensors, which takes time.
 """
 
 from functools import partial
@@ -80,26 +80,6 @@ on_dictionary = partial(
 )
 
 
-def planners() -> list[Method]:
-    """Return the planners whose weights are shipped."""
-    return [
-        # the paper's MPNet (w/ proj); `ompl-mpnet` joins states by the search of the experiments
-        mpnet_planner("mpnet"),
-        mpnet_planner("ompl-mpnet", in_ompl=True),
-        mpnet_planner("mpnet-bridged", bridged=True),
-        *(
-            product(name, choice)
-            for name, choice in NAMED_SAMPLERS.items()
-            if choice.predictor != "published"
-        ),
-        on_dictionary("roadmap-cvq"),
-    ]
-
-
-def unshipped_planners() -> list[Method]:
-    """Return the planners whose weights are not shipped."""
-    return [
-        product(name, choice)
-        for name, choice in NAMED_SAMPLERS.items()
-        if choice.predictor == "published"
-    ]
+def named_sampler(name: str) -> Method:
+    """Return the planner of a name in `NAMED_SAMPLERS`."""
+    return product(name, NAMED_SAMPLERS[name])

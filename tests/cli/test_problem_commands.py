@@ -72,6 +72,8 @@ def test_goals_are_exported_on_request_and_the_file_says_that_they_win(tmp_path,
     assert "goals" not in json.loads(without.read_text()) and len(data["goals"]) == 20
     assert "goals are used as they are; delete them" in data["_comment"]
     assert len(without.read_text().splitlines()) < 750  # 4 578 before
+    validator = Draft202012Validator(json.loads((tmp_path / "a" / data["$schema"]).read_text()))
+    assert list(validator.iter_errors(data)) == []
     for path in (without, with_goals):
         check_problem(PlanningProblem.load(path))
 

@@ -15,7 +15,8 @@ from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.benchmarks.two_arms import hold
 from cvqmpt_lab.certificate.between_states import evenly_spaced, largest_violation
 from cvqmpt_lab.constraints.bounds_between import bound_between
-from cvqmpt_lab.constraints.named import Region, relative_pose
+from cvqmpt_lab.constraints.by_name.relative_pose import relative_pose
+from cvqmpt_lab.constraints.named import Region
 from cvqmpt_lab.constraints.project import PROJECTION_TOLERANCE
 from cvqmpt_lab.constraints.region_constraint import RegionConstraint
 from cvqmpt_lab.constraints.report import bound_usage, displacements, excess

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from cvqmpt_lab.base.poses import pose
+from cvqmpt_lab.constraints.by_name.plane import plane
 from cvqmpt_lab.constraints.constraint import Constraint
-from cvqmpt_lab.constraints.named import plane
 from cvqmpt_lab.constraints.project import PROJECTION_TOLERANCE
 from cvqmpt_lab.constraints.region_constraint import RegionConstraint
 from cvqmpt_lab.constraints.task_space_region import upright, upright_box

@@ -23,7 +23,7 @@ from cvqmpt_lab.paper_tables.claims import evidence_below, judged_claims
 from cvqmpt_lab.paper_tables.committed import RESULTS
 from cvqmpt_lab.paper_tables.layouts import place_table
 from cvqmpt_lab.paper_tables.motion_bench_table import class_lines
-from cvqmpt_lab.paper_tables.plots import COLOURS, OURS, line_style, profile
+from cvqmpt_lab.paper_tables.plots import OURS, line_style, profile
 from cvqmpt_lab.paper_tables.quoted import Quoted, clear
 from cvqmpt_lab.paper_tables.rendering import render_directory, table_of
 from cvqmpt_lab.paper_tables.statements import read_published
@@ -390,7 +390,7 @@ def test_a_browser_reads_it_without_a_message_on_its_console(page, tmp_path):
 
 
 def test_every_planner_has_a_colour_of_its_own_and_ours_a_thick_line():
-    assert len(set(COLOURS.values())) == len(COLOURS) and set(PLANNERS) <= set(COLOURS)
+    assert len({line_style(name)["color"] for name in PLANNERS}) == len(PLANNERS)
     styles = [line_style(name) for name in ("birrt", "birrt improved", OURS, "peer")]
     assert styles[0]["color"] == styles[1]["color"] != styles[2]["color"]
     assert styles[2]["linewidth"] > styles[0]["linewidth"] and styles[3] == line_style("peer")

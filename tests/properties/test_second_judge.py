@@ -20,8 +20,8 @@ from cvqmpt_lab.base.codec import to_plain
 from cvqmpt_lab.benchmarks.two_arms import CARRYING_LAYOUTS, hold
 from cvqmpt_lab.certificate.certificate import CERTIFICATE_TOLERANCE, certify
 from cvqmpt_lab.collision.exact import CollisionChecker
+from cvqmpt_lab.constraints.by_name.relative_pose import relative_pose
 from cvqmpt_lab.constraints.holding import really_held
-from cvqmpt_lab.constraints.named import relative_pose
 from cvqmpt_lab.constraints.region_constraint import RegionConstraint
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.planning.pipeline import solve

@@ -8,6 +8,8 @@ import pytest
 from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.benchmarks.family_task import other_robot_problem
 from cvqmpt_lab.benchmarks.place_task import place_problem
+from cvqmpt_lab.constraints.by_name.distance import distance
+from cvqmpt_lab.constraints.by_name.on_sphere import on_sphere
 from cvqmpt_lab.constraints.goals import (
     SAMPLE_MARGIN_M,
     goals_in_any_posture,
@@ -16,7 +18,6 @@ from cvqmpt_lab.constraints.goals import (
     sample_goals,
     sample_region,
 )
-from cvqmpt_lab.constraints.named import distance, on_sphere
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.problem import PlanningProblem

@@ -36,7 +36,7 @@ from cvqmpt_lab.base.errors import (
 from cvqmpt_lab.base.values import Name
 from cvqmpt_lab.constraints.named import Region
 from cvqmpt_lab.constraints.task_space_region import Axis, TaskSpaceRegionChain, axis_vector
-from cvqmpt_lab.robot.load import State, numbers_of, robot_from_source
+from cvqmpt_lab.robot.load import SourceForm, State, numbers_of, robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import (
     Articulation,
@@ -161,7 +161,7 @@ class Task(Document):
     with_named_files = staticmethod(with_files_read)
 
     name: Name  # Name in result rows
-    robot: Mapping[str, Any]  # As in a problem file
+    robot: Annotated[Mapping[str, Any], SourceForm()]  # As in a problem file
     scene: NamedScene  # At the beginning
     start: State  # (n,) [rad or m]
     phases: tuple[Phase, ...]  # In order of execution
