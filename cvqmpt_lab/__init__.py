@@ -4,8 +4,15 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from cvqmpt_lab.base.arithmetic import pin
+from cvqmpt_lab.base.modules import provide
 
 pin()  # before numpy or numba is imported
+# parts that files of lower layers use, by who provides them, see `base.modules`
+provide(
+    {
+        "planners": ("cvqmpt_lab.vqmpt.learned_planners", "cvqmpt_lab.benchmarks.ablations"),
+    }
+)
 
 # Editors and type checkers read these imports; at run time `__getattr__` does them when needed.
 if TYPE_CHECKING:

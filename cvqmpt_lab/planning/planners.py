@@ -1,15 +1,18 @@
 """Planners by name: those of the paper's tables, more planners, and controls.
 
-A control differs from a planner in one part, to measure the contribution of this part. Modules in
-`PLANNER_MODULES` register more planners: this file does not depend on learned samplers.
+A control differs from a planner in one part, to measure the contribution of this part. Learned
+planners and controls are in modules that provide "planners" (see `base.modules.providers`): this
+file does not depend on them. Each may have functions `planners()`, `controls()` and
+`unshipped_planners()`, which return lists of methods (the last ones need weights that are not
+shipped). Its function `planner_of(name)` makes a planner from a composed name, or returns None.
 """
 
 import math
 from collections.abc import Iterable
 from dataclasses import replace
-from importlib import import_module
 
 from cvqmpt_lab.base.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.base.modules import providers
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegionChain
 from cvqmpt_lab.external.names import entry_point_names, is_external, refuse_clash
 from cvqmpt_lab.problem import PlanningProblem
@@ -18,14 +21,6 @@ from cvqmpt_lab.search.cell_trees import CellSearch
 from cvqmpt_lab.search.method import Method
 from cvqmpt_lab.search.planner_interface import Stages
 from cvqmpt_lab.search.portfolio import roadmap_planner, spread_nodes
-
-PLANNER_MODULES = tuple(
-    import_module(name)
-    for name in ("cvqmpt_lab.vqmpt.learned_planners", "cvqmpt_lab.benchmarks.ablations")
-)
-"""Each may have functions `planners()`, `controls()` and `unshipped_planners()`, which
-return lists of methods (the last ones need weights that are not shipped). Its function
-`planner_of(name)` makes a planner from a composed name, or returns None."""
 
 
 def _ompl(name: str, manifold: str, kpiece: bool = False) -> Method:
@@ -53,8 +48,9 @@ def _by_name(methods: Iterable[Method]) -> dict[str, Method]:
 
 
 def _registered(function: str) -> list[Method]:
-    """Return the methods of a function's name in all `PLANNER_MODULES`."""
-    return [method for module in PLANNER_MODULES for method in getattr(module, function, list)()]
+    """Return the methods of a function's name in all modules that provide planners."""
+    modules = providers("planners")
+    return [method for module in modules for method in getattr(module, function, list)()]
 
 
 PLANNERS = _by_name(
@@ -114,8 +110,8 @@ def planner_named(name: str, model: str | None = None, reach: float | None = Non
 
 
 def _composed(name: str) -> Method | None:
-    """Return the planner that one of `PLANNER_MODULES` makes from a composed name, or None."""
-    for module in PLANNER_MODULES:
+    """Return the planner that a provider makes from a composed name, or None."""
+    for module in providers("planners"):
         found = module.planner_of(name)
         if found is not None:
             return found
