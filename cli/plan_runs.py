@@ -45,8 +45,9 @@ from cvqmpt_lab.features.tasks.task import Task
 from cvqmpt_lab.planning.margins import Kept, Margin, kept_by, solve_keeping
 from cvqmpt_lab.planning.planners import default_planner, planner_named
 from cvqmpt_lab.planning.solution import Solution, solution_data
+from cvqmpt_lab.planning.usable import with_projected_start
 from cvqmpt_lab.planning.warm_up import compile_kernels, warm_up
-from cvqmpt_lab.problem import PlanningProblem, with_projected_start
+from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.robot import SLOW_SPEED, Robot
 

@@ -10,6 +10,11 @@ pin()  # before numpy or numba is imported
 # parts that files of lower layers use, by who provides them, see `base.modules`
 provide(
     {
+        "checks of functions": ("cvqmpt_lab.planning.usable:checked_functions",),
+        "checks of lengths": ("cvqmpt_lab.planning.usable:check_lengths",),
+        "drawn start": ("cvqmpt_lab.planning.usable:drawn_start",),
+        "exact checker": ("cvqmpt_lab.collision.exact:checker_of",),
+        "function of an address": ("cvqmpt_lab.constraints.function_files:function_of",),
         "planners": ("cvqmpt_lab.vqmpt.learned_planners", "cvqmpt_lab.benchmarks.ablations"),
     }
 )

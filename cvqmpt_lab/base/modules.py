@@ -58,3 +58,9 @@ def providers(part: str) -> tuple[Any, ...]:
         loaded = importlib.import_module(module)
         found.append(getattr(loaded, function) if function else loaded)
     return tuple(found)
+
+
+def provider(part: str) -> Any:
+    """Import and return the only provider of a part."""
+    (only,) = providers(part)
+    return only

@@ -7,13 +7,14 @@ import numpy as np
 
 from cvqmpt_lab.base.errors import InvalidInputError, InvalidProblemError, few
 from cvqmpt_lab.certificate.certificate import certify, deviation_tolerated
+from cvqmpt_lab.collision.exact import checker_of
 from cvqmpt_lab.constraints.goals import Goals, goals_of
 from cvqmpt_lab.constraints.project import PROJECTION_TOLERANCE
-from cvqmpt_lab.constraints.report import displacements, excess
-from cvqmpt_lab.constraints.task_space_region import UNITS, TaskSpaceRegion
+from cvqmpt_lab.constraints.task_space_region import UNITS, TaskSpaceRegion, displacements, excess
 from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.planning.solution import Solution
-from cvqmpt_lab.problem import PlanningProblem, usable_goals
+from cvqmpt_lab.planning.usable import usable_goals
+from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.search.method import Method
 from cvqmpt_lab.search.result import Budget, JointPath
 
@@ -71,7 +72,7 @@ def with_margin(
         The tighter problem, the margin used, and the reason if it is smaller.
     """
     reasons, clearances, slacks = [], [], []
-    checker = problem.collision_checker()
+    checker = checker_of(problem)
     for name, states in (("start", problem.start[None]), ("best goal", goals)):
         # distance to obstacles [m] and slack in bounds [rad, m] of the best state
         found = (checker.nearest_obstacle(q) for q in states)

@@ -16,7 +16,8 @@ from cvqmpt_lab.certificate.certificate import Certificate, certify
 from cvqmpt_lab.constraints.goals import Goals, goals_of
 from cvqmpt_lab.planning.planners import planner_named, require_fit
 from cvqmpt_lab.planning.solution import Solution
-from cvqmpt_lab.problem import PlanningProblem, check_problem, usable_goals
+from cvqmpt_lab.planning.usable import check_problem, usable_goals, why_no_goal
+from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.search.anytime import check_units, improve, restarted
 from cvqmpt_lab.search.birrt import BiRRT
 from cvqmpt_lab.search.method import Method
@@ -94,7 +95,7 @@ def solve(
     goal_seconds = 0.0 if given else goals.seconds
     if len(goals.configurations) == 0:
         check_problem(problem)  # refuse a start that cannot be used
-        reason = f"no goal: {goals.outcome}; {problem.why_no_goal()}"
+        reason = f"no goal: {goals.outcome}; {why_no_goal(problem)}"
         return Solution(problem, no_plan(PlanStatus.NO_GOAL, reason), goal_seconds=goal_seconds)
     usable, left_out = usable_goals(problem, goals.configurations)
     goals = replace(goals, configurations=usable)

@@ -18,11 +18,13 @@ from cvqmpt_lab.constraints.bounds_between import bound_between
 from cvqmpt_lab.constraints.named import Region, relative_pose
 from cvqmpt_lab.constraints.project import PROJECTION_TOLERANCE
 from cvqmpt_lab.constraints.region_constraint import RegionConstraint
-from cvqmpt_lab.constraints.report import bound_usage, displacements, excess
+from cvqmpt_lab.constraints.report import bound_usage
 from cvqmpt_lab.constraints.task_space_region import (
     FREE,
     TaskSpaceRegion,
     TaskSpaceRegionChain,
+    displacements,
+    excess,
     symmetric_region,
     upright,
     upright_box,

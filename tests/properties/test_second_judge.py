@@ -20,12 +20,11 @@ from cvqmpt_lab.base.codec import to_plain
 from cvqmpt_lab.benchmarks.two_arms import CARRYING_LAYOUTS, hold
 from cvqmpt_lab.certificate.certificate import CERTIFICATE_TOLERANCE, certify
 from cvqmpt_lab.collision.exact import CollisionChecker
-from cvqmpt_lab.constraints.holding import really_held
 from cvqmpt_lab.constraints.named import relative_pose
 from cvqmpt_lab.constraints.region_constraint import RegionConstraint
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.planning.pipeline import solve
-from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.problem import PlanningProblem, really_held
 from cvqmpt_lab.robot.hulls import OVERLAP
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.robot import Robot

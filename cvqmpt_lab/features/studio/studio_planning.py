@@ -21,6 +21,7 @@ from cvqmpt_lab.base.errors import (
 from cvqmpt_lab.base.files import json_text
 from cvqmpt_lab.base.poses import Pose
 from cvqmpt_lab.base.values import scalar
+from cvqmpt_lab.collision.exact import checker_of
 from cvqmpt_lab.constraints.goals import SAMPLE_MARGIN_M, sample_region
 from cvqmpt_lab.constraints.named import upper_axis
 from cvqmpt_lab.constraints.no_goal import why_none
@@ -327,7 +328,7 @@ def _reached(problem: PlanningProblem, what: str, T: np.ndarray, near: np.ndarra
         near: configuration (n,) [rad or m].
     """
     region = TaskSpaceRegion(T, np.eye(4), np.zeros((6, 2)))
-    checker, rng = problem.collision_checker(SAMPLE_MARGIN_M), np.random.default_rng(0)
+    checker, rng = checker_of(problem, SAMPLE_MARGIN_M), np.random.default_rng(0)
     some = partial(sample_region, problem.robot, region, checker, rng, within=problem.constraint)
     found = np.concatenate([some(2, 2, near=near).configurations, some(2, 12).configurations])
     if len(found) == 0:

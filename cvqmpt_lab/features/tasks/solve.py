@@ -29,6 +29,7 @@ from cvqmpt_lab.planning.margins import NO_MARGIN, Margin, solve_with_margin
 from cvqmpt_lab.planning.pipeline import no_plan
 from cvqmpt_lab.planning.planners import planner_named
 from cvqmpt_lab.planning.solution import Solution, solution_data
+from cvqmpt_lab.planning.usable import why_no_goal
 from cvqmpt_lab.search.method import Method
 from cvqmpt_lab.search.result import Budget, PlanStatus
 
@@ -236,7 +237,7 @@ class _Run:
         reason, margin = step.reason, ""
         if len(step.goals) == 0:
             solution = Solution(problem, no_plan(PlanStatus.NO_GOAL))
-            reason = "; ".join(filter(None, (reason, problem.why_no_goal())))
+            reason = "; ".join(filter(None, (reason, why_no_goal(problem))))
         else:
             self.runs += 1
             try:
