@@ -26,6 +26,7 @@ from cvqmpt_lab.cli.problem_arguments import budget, chosen_problem, margin_of_t
 from cvqmpt_lab.cli.problem_options import BUDGET, MARGIN, PROBLEM, ROBOT, bodies_option
 from cvqmpt_lab.features.motion.limit_use import share_text
 from cvqmpt_lab.features.motion.motion_check import certified_motion, dry_run, with_limits_of
+from cvqmpt_lab.features.motion.plan import Request, plan
 from cvqmpt_lab.features.motion.timing import TimingSettings
 from cvqmpt_lab.features.motion.trajectory import Motion, Trajectory, read_motion
 from cvqmpt_lab.features.physics.execute import (
@@ -40,7 +41,7 @@ from cvqmpt_lab.features.physics.execute import (
 from cvqmpt_lab.features.physics.simulation import CONTROLLERS, Controller, mujoco_module
 from cvqmpt_lab.features.tasks.solve import solve_task
 from cvqmpt_lab.features.tasks.task import Task
-from cvqmpt_lab.planning.margins import Margin, solve_with_margin
+from cvqmpt_lab.planning.margins import Margin
 from cvqmpt_lab.planning.planners import default_planner, planner_named
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.search.result import JointPath
@@ -191,15 +192,17 @@ def _planned(args: argparse.Namespace, problem: PlanningProblem) -> Trajectory:
     settings = TimingSettings(speed=_speed(args))
     problem.robot.joint_limits.scaled(_speed(args))
     method = planner_named(default_planner(problem)[0])
-    solution, _ = solve_with_margin(
-        problem, method, budget(args), args.seed, margin, backend=args.backend
+    request = Request(
+        method, budget(args), args.seed, margin, timing=settings, backend=args.backend
     )
-    if not solution.solved or solution.path is None:
+    planned = plan(problem, request)
+    if planned.motion is None:
+        solution = planned.solution
         raise InvalidInputError(
             f"problem {problem.name} is not solved: {solution.plan.detail or solution.status}"
             "; cvqmpt plan prints details"
         )
-    return certified_motion(problem, solution.path, settings)
+    return planned.motion
 
 
 def _read(

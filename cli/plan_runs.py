@@ -10,6 +10,7 @@ import re
 import signal
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -41,8 +42,9 @@ from cvqmpt_lab.cli.problem_arguments import (
     with_limits,
 )
 from cvqmpt_lab.cli.problem_options import SCAN
+from cvqmpt_lab.features.motion.plan import Plan, Request, plan
 from cvqmpt_lab.features.tasks.task import Task
-from cvqmpt_lab.planning.margins import Kept, Margin, kept_by, solve_keeping
+from cvqmpt_lab.planning.margins import Margin
 from cvqmpt_lab.planning.planners import default_planner, planner_named
 from cvqmpt_lab.planning.solution import Solution, solution_data
 from cvqmpt_lab.planning.usable import with_projected_start
@@ -72,10 +74,14 @@ def run(args: argparse.Namespace) -> int:
         refuse_given(args, ("duration",), "goes with one motion; give a task its --speed")
         refuse_given(args, moving, "goes with one motion; those of a task begin and end at rest")
     args.speed = SLOW_SPEED if args.speed is None else args.speed
+    solution: Solution | TaskSolution
+    write: Callable[[], str]
     if isinstance(item, Task):
-        solution, report = _solved_task(args, item)
+        done, report = _solved_task(args, item)
+        solution, write = done, partial(_write_trajectories, args, done)
     else:
-        solution, report = _solved_problem(args, item)
+        planned, report = _solved_problem(args, item)
+        solution, write = planned.solution, partial(_write_trajectory, args, planned)
     print(as_json(report) if isinstance(report, dict) else "\n".join(report))
     # with --json, standard output holds the json object alone
     say = partial(print, file=sys.stderr if args.json else sys.stdout)
@@ -84,11 +90,7 @@ def run(args: argparse.Namespace) -> int:
         write_text(args.save_path, csv_table(rows))
         say(f"path written to {args.save_path}")
     if args.trajectory:
-        say(
-            _write_trajectory(args, solution)
-            if isinstance(solution, Solution)
-            else _write_trajectories(args, solution)
-        )
+        say(write())
     for line in _show(args, solution):
         say(line)
     return 0 if solution.solved else 1
@@ -96,8 +98,8 @@ def run(args: argparse.Namespace) -> int:
 
 def _solved_problem(
     args: argparse.Namespace, problem: PlanningProblem
-) -> tuple["Solution | TaskSolution", dict[str, Any] | list[str]]:
-    """Solve a problem; return its solution and report, which is data for --json, else lines."""
+) -> tuple[Plan, dict[str, Any] | list[str]]:
+    """Plan for a problem; return the plan and its report, which is data for --json, else lines."""
     if args.project_start:
         problem = with_projected_start(problem)
     planner, why = (args.planner, "") if args.planner else default_planner(problem)
@@ -114,49 +116,51 @@ def _solved_problem(
         # a wrong file name or speed is refused before anything is planned
         kind_of(writable_file(args.trajectory), TRAJECTORY_WRITERS, "trajectory")
         problem.robot.joint_limits.scaled(args.speed)
-    velocities = end_velocities(args, problem.robot)
+    timing = _timing(args, problem.robot)
     margin = Margin(args.margin, args.margin_angle).check()
     warm_up(problem, method, args.backend)
     if args.verbose:
         logging.basicConfig(format="%(name)s: %(message)s", level=logging.INFO)
-    kept = Kept(None, margin)
-
-    def solved(problem: PlanningProblem) -> Solution:
-        nonlocal kept
-        solution, kept = solve_keeping(
-            problem,
-            method,
-            budget(args),
-            args.seed,
-            margin,
-            backend=args.backend,
-            optimize=optimize_budget(args, OPTIMIZE_S),
-            near_goals_first=args.suite is None,
-            exact_clearance=args.exact_clearance,
-        )
-        return solution
-
-    if not any(velocity is not None for velocity in velocities):
-        solution = solved(problem)
-    else:
-        from cvqmpt_lab.features.lines.moving_ends import solve_on_the_move
-
-        limits = problem.robot.joint_limits.scaled(args.speed)
-        solution = solve_on_the_move(problem, velocities, limits, solved, args.exact_clearance)
-        if solution.path is not None:
-            kept = kept_by(problem, solution.path, kept)
+    request = Request(
+        method,
+        budget(args),
+        args.seed,
+        margin,
+        optimize_budget(args, OPTIMIZE_S),
+        timing,
+        args.backend,
+        args.exact_clearance,
+        near_goals_first=args.suite is None,
+    )
+    planned = plan(problem, request)
+    solution = planned.solution
     if args.json:
         # it needs scipy.interpolate, which takes half a second to import
         from cvqmpt_lab.features.motion.record import record_of
 
         data = solution_data(solution, planner, record_of(solution, problem), why)
-        return solution, data | {"margin": str(kept)}
-    return solution, [*solution.report(planner, why), f"margin      {kept}"]
+        return planned, data | {"margin": str(planned.margin)}
+    return planned, [*solution.report(planner, why), f"margin      {planned.margin}"]
+
+
+def _timing(args: argparse.Namespace, robot: Robot) -> "TimingSettings | None":
+    """Return the settings of the motion that --trajectory asks for; None without it."""
+    end_velocities(args, robot)  # refuses a wrong number of them
+    if args.trajectory is None:
+        return None
+    from cvqmpt_lab.features.motion.timing import TimingSettings
+
+    return TimingSettings(
+        speed=args.speed,
+        duration=args.duration,
+        start_velocity=args.start_velocity,
+        end_velocity=args.end_velocity,
+    )
 
 
 def _solved_task(
     args: argparse.Namespace, task: Task
-) -> tuple["Solution | TaskSolution", dict[str, Any] | list[str]]:
+) -> tuple["TaskSolution", dict[str, Any] | list[str]]:
     """Solve a task; return its solution and report, which is data for --json, else lines."""
     # timing needs scipy.interpolate, which takes half a second to import
     from cvqmpt_lab.features.motion.timing import TimingSettings
@@ -212,21 +216,13 @@ def _problem_or_task(args: argparse.Namespace) -> PlanningProblem | Task:
     return chosen_problem(args)
 
 
-def _write_trajectory(args: argparse.Namespace, solution: Solution) -> str:
+def _write_trajectory(args: argparse.Namespace, planned: Plan) -> str:
     """Time the certified path, certify and write the motion; return the line to print."""
-    from cvqmpt_lab.features.motion.motion_check import certified_motion
-    from cvqmpt_lab.features.motion.timing import TimingSettings
     from cvqmpt_lab.features.motion.trajectory import save_trajectory
 
-    if not solution.solved or solution.path is None:
+    motion, timing, solution = planned.motion, planned.request.timing, planned.solution
+    if motion is None or timing is None:
         return "trajectory  none: only certified paths are timed"
-    timing = TimingSettings(
-        speed=args.speed,
-        duration=args.duration,
-        start_velocity=args.start_velocity,
-        end_velocity=args.end_velocity,
-    )
-    motion = certified_motion(solution.problem, solution.path, timing)
     motion = _at_rate(args.rate, solution.problem, motion, timing)
     save_trajectory(motion, args.trajectory, solution.problem.robot.joint_limits)
     return (

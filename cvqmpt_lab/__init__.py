@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     )
     from cvqmpt_lab.features.motion.judge import judge
     from cvqmpt_lab.features.motion.motion_check import certified_motion
+    from cvqmpt_lab.features.motion.plan import Plan, Request, plan
     from cvqmpt_lab.features.motion.timing import TimingSettings, time_path
     from cvqmpt_lab.features.motion.trajectory import (
         JointState,
@@ -46,7 +47,7 @@ if TYPE_CHECKING:
     from cvqmpt_lab.features.pictures.picture import draw, film_solution
     from cvqmpt_lab.features.tasks.solve import solve_task
     from cvqmpt_lab.features.tasks.task import Task
-    from cvqmpt_lab.planning.margins import Margin, solve_with_margin
+    from cvqmpt_lab.planning.margins import Margin
     from cvqmpt_lab.planning.pipeline import solve, solve_many
     from cvqmpt_lab.planning.planners import PLANNERS, planner_named
     from cvqmpt_lab.problem import PlanningProblem
@@ -79,9 +80,11 @@ __all__ = [
     "Motion",
     "OccupancyMap",
     "Placement",
+    "Plan",
     "PlanningProblem",
     "PointCloud",
     "Proposal",
+    "Request",
     "Scene",
     "SceneObject",
     "Sphere",
@@ -100,6 +103,7 @@ __all__ = [
     "load_function",
     "load_robot",
     "load_vq_mpt",
+    "plan",
     "planner_named",
     "pose",
     "read_cloud",
@@ -112,7 +116,6 @@ __all__ = [
     "solve",
     "solve_many",
     "solve_task",
-    "solve_with_margin",
     "suite_named",
     "time_path",
     "torch_constraint",
@@ -126,6 +129,7 @@ _NAMES: dict[str, tuple[str, ...]] = {
     "certificate.certificate": ("certify",),
     "features.motion.judge": ("judge",),
     "features.motion.motion_check": ("certified_motion",),
+    "features.motion.plan": ("Plan", "Request", "plan"),
     "constraints.function": ("FunctionConstraint", "torch_constraint"),
     "constraints.function_files": ("allow_code", "load_function"),
     "constraints.named": ("region",),
@@ -136,7 +140,7 @@ _NAMES: dict[str, tuple[str, ...]] = {
         "upright_box",
     ),
     "features.physics.execute": ("execute_motion",),
-    "planning.margins": ("Margin", "solve_with_margin"),
+    "planning.margins": ("Margin",),
     "planning.pipeline": ("solve", "solve_many"),
     "planning.planners": ("PLANNERS", "planner_named"),
     "problem": ("PlanningProblem",),
@@ -162,10 +166,16 @@ _NAMES: dict[str, tuple[str, ...]] = {
 _MODULE_OF = {name: module for module, names in _NAMES.items() for name in names}
 
 
+_REMOVED = {"solve_with_margin": "call plan(problem, Request(planner, budget, seed, margin))"}
+"""Names of earlier versions, and what to do instead."""
+
+
 if not TYPE_CHECKING:  # with it, type checkers would accept any name
 
     def __getattr__(name: str) -> Any:
         """Import a public name from the module that defines it."""
+        if name in _REMOVED:
+            raise AttributeError(f"{__name__}.{name} was removed: {_REMOVED[name]}")
         if name not in _MODULE_OF:
             known = ", ".join(sorted(__all__, key=str.lower))
             raise AttributeError(

@@ -19,13 +19,13 @@ from cvqmpt_lab.base.errors import (
     require_kind,
     whole_number,
 )
-from cvqmpt_lab.features.motion.motion_check import certified_motion
+from cvqmpt_lab.features.motion.plan import Request, plan
 from cvqmpt_lab.features.motion.record import record_of
 from cvqmpt_lab.features.motion.timing import TimingSettings
 from cvqmpt_lab.features.motion.trajectory import Trajectory
 from cvqmpt_lab.features.tasks.task import Move, Phase, PlannedPhase, Task
 from cvqmpt_lab.features.tasks.world import World, phase_goals, prepare
-from cvqmpt_lab.planning.margins import NO_MARGIN, Margin, solve_with_margin
+from cvqmpt_lab.planning.margins import NO_MARGIN, Margin
 from cvqmpt_lab.planning.pipeline import no_plan
 from cvqmpt_lab.planning.planners import planner_named
 from cvqmpt_lab.planning.solution import Solution, solution_data
@@ -234,23 +234,25 @@ class _Run:
         problem = step.world.problem(self.task, step.phase)
         incompatible = self.method.incompatibility(problem)
         fallback = f"birrt: {incompatible}" if incompatible else ""
-        reason, margin = step.reason, ""
+        reason, planned = step.reason, None
         if len(step.goals) == 0:
             solution = Solution(problem, no_plan(PlanStatus.NO_GOAL))
             reason = "; ".join(filter(None, (reason, why_no_goal(problem))))
         else:
             self.runs += 1
             try:
-                solution, margin = solve_with_margin(
-                    problem.changed(goals=step.goals),
+                request = Request(
                     "birrt" if incompatible else self.method,
                     self.budget.share(share),
                     int(np.random.default_rng([self.seed, self.runs]).integers(2**32)),
                     self.margin,
+                    timing=self.timing,
                     backend=self.backend,
                     exact_clearance=True,
                     use_cache=False,  # each phase observes another scene
                 )
+                planned = plan(problem.changed(goals=step.goals), request)
+                solution = planned.solution
                 reason = "" if solution.solved else _why(solution)
                 self.cut_short |= not solution.solved and share < 1.0
             except InvalidProblemError as error:
@@ -259,16 +261,14 @@ class _Run:
         step.goal_seconds = 0.0
         name = step.phase.name
         attempts = self.attempts[name] = (*self.attempts.get(name, ()), solution)
+        margin = "" if planned is None else str(planned.margin)
         outcome = PhaseOutcome(
             step.phase, step.world, attempts, margin=margin, fallback=fallback, reason=reason
         )
-        if not solution.solved or solution.path is None:
-            return outcome
         try:
-            motion = certified_motion(solution.problem, solution.path, self.timing)
+            return replace(outcome, trajectory=None if planned is None else planned.motion)
         except InvalidInputError as error:
             return replace(outcome, reason=f"not timed: {error}")
-        return replace(outcome, trajectory=motion)
 
 
 def _why(solution: Solution) -> str:
