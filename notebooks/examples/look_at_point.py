@@ -22,4 +22,5 @@ problem = PlanningProblem(
     goal_region=region("pose", at={"xyz": [0.5, 0.3, 0.4], "rpy": [2.44, 0.0, 0.0]}, yaw=3.15),
     constraint=(region("look-at", point=[0.5, 0.0, 0.05], angle=0.2, distance=[0.3, 0.6]),),
 )
-print(plan(problem, Request("birrt", Budget(seconds=10.0))))
+planned = plan(problem, Request("birrt", Budget(seconds=10.0)))
+print(planned)

@@ -25,4 +25,5 @@ problem = PlanningProblem(
     goal_region=region("pose", at={"xyz": [0.4, 0.35, 0.3], "rpy": [np.pi, 0.0, 0.0]}),
     constraint=(region("upright", tilt=0.1, axis="-z"),),
 )
-print(plan(problem, Request("roadmap", Budget(seconds=10.0))))
+planned = plan(problem, Request("roadmap", Budget(seconds=10.0)))
+print(planned)

@@ -25,4 +25,5 @@ problem = PlanningProblem(
     start=np.array([-0.9, 0.3, 0.0, -1.9, 0.0, 2.2, 0.8]),
     goals=np.array([[0.9, 0.3, 0.0, -1.9, 0.0, 2.2, 0.8]]),
 )
-print(plan(problem, Request("roadmap", Budget(seconds=10.0))))
+planned = plan(problem, Request("roadmap", Budget(seconds=10.0)))
+print(planned)
