@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 from cvqmpt_lab.base.errors import InvalidInputError, few
 from cvqmpt_lab.base.files import csv_table, make_folder, write_text
 from cvqmpt_lab.base.jit import compile_in_processes
+from cvqmpt_lab.base.report import Report
 from cvqmpt_lab.base.values import bound_text
 from cvqmpt_lab.benchmarks.declarations import SUITES
 from cvqmpt_lab.benchmarks.suite import suite_named
@@ -46,7 +47,7 @@ from cvqmpt_lab.features.motion.plan import Plan, Request, plan
 from cvqmpt_lab.features.tasks.task import Task
 from cvqmpt_lab.planning.margins import Margin
 from cvqmpt_lab.planning.planners import default_planner, planner_named
-from cvqmpt_lab.planning.solution import Solution, solution_data
+from cvqmpt_lab.planning.solution import Solution
 from cvqmpt_lab.planning.usable import with_projected_start
 from cvqmpt_lab.planning.warm_up import compile_kernels, warm_up
 from cvqmpt_lab.problem import PlanningProblem
@@ -82,7 +83,7 @@ def run(args: argparse.Namespace) -> int:
     else:
         planned, report = _solved_problem(args, item)
         solution, write = planned.solution, partial(_write_trajectory, args, planned)
-    print(as_json(report) if isinstance(report, dict) else "\n".join(report))
+    print(as_json(report.data) if args.json else report)
     # with --json, standard output holds the json object alone
     say = partial(print, file=sys.stderr if args.json else sys.stdout)
     if args.save_path and isinstance(solution, Solution) and solution.path:
@@ -96,10 +97,8 @@ def run(args: argparse.Namespace) -> int:
     return 0 if solution.solved else 1
 
 
-def _solved_problem(
-    args: argparse.Namespace, problem: PlanningProblem
-) -> tuple[Plan, dict[str, Any] | list[str]]:
-    """Plan for a problem; return the plan and its report, which is data for --json, else lines."""
+def _solved_problem(args: argparse.Namespace, problem: PlanningProblem) -> tuple[Plan, Report]:
+    """Plan for a problem; return the plan and its report."""
     if args.project_start:
         problem = with_projected_start(problem)
     planner, why = (args.planner, "") if args.planner else default_planner(problem)
@@ -133,14 +132,15 @@ def _solved_problem(
         near_goals_first=args.suite is None,
     )
     planned = plan(problem, request)
-    solution = planned.solution
-    if args.json:
-        # it needs scipy.interpolate, which takes half a second to import
-        from cvqmpt_lab.features.motion.record import record_of
+    return planned, planned.report(planner, why, partial(_record, planned.solution, problem))
 
-        data = solution_data(solution, planner, record_of(solution, problem), why)
-        return planned, data | {"margin": str(planned.margin)}
-    return planned, [*solution.report(planner, why), f"margin      {planned.margin}"]
+
+def _record(solution: Solution, problem: PlanningProblem) -> dict[str, Any] | None:
+    """Return the record of a solution's certificate for the problem of the user."""
+    # it needs scipy.interpolate, which takes half a second to import
+    from cvqmpt_lab.features.motion.record import record_of
+
+    return record_of(solution, problem)
 
 
 def _timing(args: argparse.Namespace, robot: Robot) -> "TimingSettings | None":
@@ -158,13 +158,11 @@ def _timing(args: argparse.Namespace, robot: Robot) -> "TimingSettings | None":
     )
 
 
-def _solved_task(
-    args: argparse.Namespace, task: Task
-) -> tuple["TaskSolution", dict[str, Any] | list[str]]:
-    """Solve a task; return its solution and report, which is data for --json, else lines."""
+def _solved_task(args: argparse.Namespace, task: Task) -> tuple["TaskSolution", Report]:
+    """Solve a task; return its solution and report."""
     # timing needs scipy.interpolate, which takes half a second to import
     from cvqmpt_lab.features.motion.timing import TimingSettings
-    from cvqmpt_lab.features.tasks.solve import solve_task, task_data, task_lines
+    from cvqmpt_lab.features.tasks.solve import solve_task, task_report
 
     of_problems = ("cloud", "optimize", "save_path", "project_start")
     refuse_given(args, of_problems, "does not go with a task; leave it out")
@@ -183,9 +181,7 @@ def _solved_task(
     # a wrong speed is refused before anything is planned
     robot_from_source(task.robot).joint_limits.scaled(args.speed)
     solution = solve_task(task, method, budget(args), args.seed, timing, args.backend, margin)
-    if args.json:
-        return solution, task_data(solution, planner)
-    return solution, task_lines(solution, planner, args.speed)
+    return solution, task_report(solution, planner, args.speed)
 
 
 def _problem_or_task(args: argparse.Namespace) -> PlanningProblem | Task:

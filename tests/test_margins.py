@@ -157,7 +157,7 @@ def test_no_margin_is_the_plain_solution(problem, solution):
 def test_the_status_of_a_path_that_is_refused_is_the_verdict(problem, solution):
     straight = JointPath(np.linspace(problem.start, solution.path.states[-1], 50))
     refused = replace(solution, certificate=certify(problem, straight))
-    said = refused.report()
+    said = refused.report().lines
     assert "status      refused by the certificate" in said and refused.status == "refused"
     assert any(line.startswith("certificate not certified: ") for line in said)
 

@@ -6,11 +6,13 @@ It puts together the run of a problem (`planning.pipeline.solve`), the margin fo
 
 from __future__ import annotations  # so `help` shows types by their names
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from cvqmpt_lab.base.errors import require_kind, whole_number
+from cvqmpt_lab.base.report import Report
 from cvqmpt_lab.constraints.goals import Goals
 from cvqmpt_lab.planning.margins import Kept, Margin, keep_margin, kept_by
 from cvqmpt_lab.planning.pipeline import PROBLEM_HINT, solve
@@ -64,6 +66,22 @@ class Plan:
 
     def __repr__(self) -> str:
         return f"{self.solution!r}\nmargin      {self.margin}"
+
+    def report(
+        self,
+        planner: str = "",
+        why: str = "",
+        record: Callable[[], Mapping[str, Any] | None] = lambda: None,
+    ) -> Report:
+        """Return the report of the solution, with a line for the margin.
+
+        Args:
+            planner: name of the planner.
+            why: the reason if the planner was chosen by default.
+            record: makes the record of the certificate for the data, see `record.record_of`.
+        """
+        of_solution = self.solution.report(planner, why, record)
+        return of_solution.with_entry("margin", str(self.margin), margin=str(self.margin))
 
     @property
     def solved(self) -> bool:
