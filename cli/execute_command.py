@@ -28,7 +28,6 @@ from cvqmpt_lab.cli.problem_arguments import budget, chosen_problem, margin_of_t
 from cvqmpt_lab.cli.problem_options import BUDGET, MARGIN, PROBLEM, ROBOT, bodies_option
 from cvqmpt_lab.features.motion.limit_use import share_text
 from cvqmpt_lab.features.motion.motion_check import certified_motion, dry_run, with_limits_of
-from cvqmpt_lab.features.motion.plan import Request, plan
 from cvqmpt_lab.features.motion.timing import TimingSettings
 from cvqmpt_lab.features.motion.trajectory import Motion, Trajectory, read_motion
 from cvqmpt_lab.features.physics.execute import (
@@ -41,6 +40,7 @@ from cvqmpt_lab.features.physics.execute import (
     require_simulated,
 )
 from cvqmpt_lab.features.physics.simulation import CONTROLLERS, Controller, mujoco_module
+from cvqmpt_lab.features.plan import Request, plan
 from cvqmpt_lab.features.tasks.solve import solve_task
 from cvqmpt_lab.features.tasks.task import Task
 from cvqmpt_lab.planning.margins import Margin

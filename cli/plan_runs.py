@@ -43,7 +43,7 @@ from cvqmpt_lab.cli.problem_arguments import (
     with_limits,
 )
 from cvqmpt_lab.cli.problem_options import SCAN
-from cvqmpt_lab.features.motion.plan import Plan, Request, plan
+from cvqmpt_lab.features.plan import Plan, Request, plan
 from cvqmpt_lab.features.tasks.task import Task
 from cvqmpt_lab.planning.margins import Margin
 from cvqmpt_lab.planning.planners import default_planner, planner_named

@@ -15,7 +15,8 @@ provide(
         "drawn start": ("cvqmpt_lab.planning.usable:drawn_start",),
         "exact checker": ("cvqmpt_lab.collision.exact:checker_of",),
         "function of an address": ("cvqmpt_lab.constraints.function_files:function_of",),
-        "planners": ("cvqmpt_lab.vqmpt.learned_planners", "cvqmpt_lab.benchmarks.ablations"),
+        "controls": ("cvqmpt_lab.benchmarks.ablations",),
+        "planners": ("cvqmpt_lab.vqmpt.learned_planners",),
     }
 )
 
@@ -35,7 +36,6 @@ if TYPE_CHECKING:
     )
     from cvqmpt_lab.features.motion.judge import judge
     from cvqmpt_lab.features.motion.motion_check import certified_motion
-    from cvqmpt_lab.features.motion.plan import Plan, Request, plan
     from cvqmpt_lab.features.motion.timing import TimingSettings, time_path
     from cvqmpt_lab.features.motion.trajectory import (
         JointState,
@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     )
     from cvqmpt_lab.features.physics.execute import execute_motion
     from cvqmpt_lab.features.pictures.picture import draw, film_solution
+    from cvqmpt_lab.features.plan import Plan, Request, plan
     from cvqmpt_lab.features.tasks.solve import solve_task
     from cvqmpt_lab.features.tasks.task import Task
     from cvqmpt_lab.planning.margins import Margin
@@ -129,7 +130,7 @@ _NAMES: dict[str, tuple[str, ...]] = {
     "certificate.certificate": ("certify",),
     "features.motion.judge": ("judge",),
     "features.motion.motion_check": ("certified_motion",),
-    "features.motion.plan": ("Plan", "Request", "plan"),
+    "features.plan": ("Plan", "Request", "plan"),
     "constraints.function": ("FunctionConstraint", "torch_constraint"),
     "constraints.function_files": ("allow_code", "load_function"),
     "constraints.named": ("region",),

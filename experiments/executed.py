@@ -11,7 +11,6 @@ from functools import partial
 from cvqmpt_lab.benchmarks.item import ExecutedProblem
 from cvqmpt_lab.benchmarks.results.row import FailReason, ResultRow
 from cvqmpt_lab.experiments.experiment import Run
-from cvqmpt_lab.features.motion.plan import Request, plan
 from cvqmpt_lab.features.motion.timing import TimingSettings
 from cvqmpt_lab.features.physics.execute import (
     CONTACT_TIMES_S,
@@ -22,6 +21,7 @@ from cvqmpt_lab.features.physics.execute import (
     execute_task,
 )
 from cvqmpt_lab.features.physics.simulation import mujoco_module
+from cvqmpt_lab.features.plan import Request, plan
 from cvqmpt_lab.features.tasks.solve import solve_task
 from cvqmpt_lab.features.tasks.task import Task
 from cvqmpt_lab.planning.margins import Margin

@@ -12,7 +12,7 @@ from cvqmpt_lab.certificate.certificate import certify
 from cvqmpt_lab.cli.problem_options import MARGIN
 from cvqmpt_lab.constraints.goals import goals_of
 from cvqmpt_lab.constraints.task_space_region import displacements, excess
-from cvqmpt_lab.features.motion.plan import Request, plan
+from cvqmpt_lab.features.plan import Request, plan
 from cvqmpt_lab.features.tasks.solve import solve_task
 from cvqmpt_lab.planning.margins import (
     NO_MARGIN,

@@ -9,13 +9,13 @@ from refusals import refused
 from cvqmpt_lab.benchmarks.place_task import door_problem, place_problem
 from cvqmpt_lab.planning import warm_up
 from cvqmpt_lab.planning.pipeline import solve
-from cvqmpt_lab.planning.planners import CONTROLS, PLANNERS, planner_named
+from cvqmpt_lab.planning.planners import PLANNERS, controls, planner_named
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.search.result import Budget
 
-NEEDY = [name for name, method in {**PLANNERS, **CONTROLS}.items() if method.weights is not None]
+NEEDY = [name for name, method in {**PLANNERS, **controls()}.items() if method.weights is not None]
 
 
 @pytest.fixture(scope="module", params=["ur5", "xarm7"])

@@ -56,7 +56,7 @@ def solve(
 ) -> Solution:
     """Draw goals, observe, predict, update, search, shorten and certify a path.
 
-    It keeps no margin for tracking error; `features.motion.plan` keeps that of `cvqmpt plan`.
+    It keeps no margin for tracking error; `features.plan` keeps that of `cvqmpt plan`.
     If the certificate refuses the path, the search continues. All random numbers depend on seed and
     start. Calls from several threads run one after the other, because OMPL's random numbers, caches
     and the number of BLAS threads belong to the process. Several processes can plan in parallel.

@@ -1,15 +1,17 @@
 """Planners by name: those of the paper's tables, more planners, and controls.
 
 A control differs from a planner in one part, to measure the contribution of this part. Learned
-planners and controls are in modules that provide "planners" (see `base.modules.providers`): this
-file does not depend on them. Each may have functions `planners()`, `controls()` and
-`unshipped_planners()`, which return lists of methods (the last ones need weights that are not
-shipped). Its function `planner_of(name)` makes a planner from a composed name, or returns None.
+planners and controls are in modules that provide "planners" or "controls" (see
+`base.modules.providers`): this file does not depend on them. The first have functions `planners()`
+and `unshipped_planners()`, whose weights are not shipped, the others `controls()`; all return
+lists of methods. Their function `planner_of(name)` makes a planner from a composed name, or returns
+None.
 """
 
 import math
 from collections.abc import Iterable
 from dataclasses import replace
+from functools import cache
 
 from cvqmpt_lab.base.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.base.modules import providers
@@ -47,10 +49,9 @@ def _by_name(methods: Iterable[Method]) -> dict[str, Method]:
     return {method.name: method for method in methods}
 
 
-def _registered(function: str) -> list[Method]:
-    """Return the methods of a function's name in all modules that provide planners."""
-    modules = providers("planners")
-    return [method for module in modules for method in getattr(module, function, list)()]
+def _provided(part: str, function: str) -> list[Method]:
+    """Return the methods that a function of the modules that provide a part returns."""
+    return [method for module in providers(part) for method in getattr(module, function)()]
 
 
 PLANNERS = _by_name(
@@ -65,10 +66,16 @@ PLANNERS = _by_name(
         _ompl("tb-rrt", "tangent-bundle"),
         _ompl("ompl-bkpiece", "projected", kpiece=True),
         roadmap_planner("roadmap", spread_nodes),
-        *_registered("planners"),
+        *_provided("planners", "planners"),
     )
 )
-CONTROLS = _by_name(_registered("controls"))
+
+
+@cache
+def controls() -> dict[str, Method]:
+    """Return the controls by name."""
+    return _by_name(_provided("controls", "controls"))
+
 
 # names of planners in other libraries, and the similar planners here
 _NAMES_ELSEWHERE = {
@@ -94,7 +101,10 @@ def planner_named(name: str, model: str | None = None, reach: float | None = Non
         raise InvalidInputError(
             f"unknown planner {name!r}; did you mean {_NAMES_ELSEWHERE[plain]}?"
         )
-    ours = {**PLANNERS, **CONTROLS, **_by_name(_registered("unshipped_planners"))}
+    ours = PLANNERS
+    if name not in ours:
+        unshipped = _by_name(_provided("planners", "unshipped_planners"))
+        ours = {**PLANNERS, **controls(), **unshipped}
     refuse_clash(name, ours)
     found = ours.get(name) or _composed(name)
     if found is None and is_external(name):
@@ -111,7 +121,7 @@ def planner_named(name: str, model: str | None = None, reach: float | None = Non
 
 def _composed(name: str) -> Method | None:
     """Return the planner that a provider makes from a composed name, or None."""
-    for module in providers("planners"):
+    for module in (*providers("planners"), *providers("controls")):
         found = module.planner_of(name)
         if found is not None:
             return found

@@ -12,9 +12,7 @@ from cvqmpt_lab.base.errors import InvalidProblemError
 from cvqmpt_lab.base.values import FloatArray, frozen
 from cvqmpt_lab.collision.carried import reach_with
 from cvqmpt_lab.collision.exact import checker_of
-from cvqmpt_lab.constraints.function_checks import check_function
 from cvqmpt_lab.constraints.goals import SAMPLE_MARGIN_M, find_in_region
-from cvqmpt_lab.constraints.no_goal import contradiction, other_axis, why_none
 from cvqmpt_lab.constraints.project import PROJECTION_TOLERANCE
 from cvqmpt_lab.constraints.region_constraint import functions_of
 from cvqmpt_lab.constraints.report import broken_bound
@@ -32,6 +30,8 @@ def drawn_start(problem: PlanningProblem) -> FloatArray:
     )
     if len(found.configurations) == 0:
         check_extent(problem.scene, reach_with(problem.robot, problem.attachments))
+        from cvqmpt_lab.constraints.no_goal import why_none  # for errors alone
+
         why = why_none(problem.robot, problem.start_region, checker, problem.constraint)
         raise InvalidProblemError(
             f"{problem.name}: no start in 'start_region': {found.outcome}; {why}"
@@ -45,6 +45,8 @@ def checked_functions(problem: PlanningProblem, given: FloatArray) -> FloatArray
     Functions may change by a whole turn of a joint. Goals that keep them only as they were given
     (k, n), and not as the problem turned them, stay as given.
     """
+    from cvqmpt_lab.constraints.function_checks import check_function  # few problems have one
+
     for function in functions_of(problem.constraint):
         check_function(function, problem.robot, problem.start)
     if np.array_equal(given, problem.goals):
@@ -73,6 +75,8 @@ def check_lengths(problem: PlanningProblem) -> None:
 
 def why_no_goal(problem: PlanningProblem) -> str:
     """Return why no configuration was found for the goal region, in words; see `why_none`."""
+    from cvqmpt_lab.constraints.no_goal import why_none  # for errors alone
+
     assert problem.goal_region is not None
     checker = checker_of(problem, SAMPLE_MARGIN_M)
     return why_none(problem.robot, problem.goal_region, checker, problem.constraint)
@@ -151,6 +155,8 @@ def _off_manifold(
         label: name of the start or goal.
         q: its configuration (n,) [rad or m].
     """
+    from cvqmpt_lab.constraints.no_goal import contradiction, other_axis  # for errors alone
+
     states, broken = q[None], f"{label} breaks"
     cure = "`cvqmpt ik` finds configurations that keep the constraint"
     if label == "start":

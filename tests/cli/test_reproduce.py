@@ -14,7 +14,7 @@ from cvqmpt_lab.experiments import experiment
 from cvqmpt_lab.experiments.experiment import Experiment, parts_of
 from cvqmpt_lab.experiments.figures.paper import reproduce_figure
 from cvqmpt_lab.paper_tables.statements import CLAIMS
-from cvqmpt_lab.planning.planners import CONTROLS, PLANNERS
+from cvqmpt_lab.planning.planners import PLANNERS, controls
 from cvqmpt_lab.search.result import Budget
 
 
@@ -24,7 +24,7 @@ def test_every_suite_and_the_controls_are_part_of_everything():
     others = {"peers", "peers-two-arms", "motion-bench", "motion-bench-upright", "executed"}
     others |= {"place-task-ompl-tuning"}  # settings were chosen on its problems
     assert full.keys() == {*SUITES, "controls"} - others
-    assert set(full["controls"].planners) > set(CONTROLS)
+    assert set(full["controls"].planners) > set(controls())
     others = [name for name in PLANNERS if name not in PlannerGroups.in_ompl]
     assert tuple(others) == PlannerGroups.every and {*PlannerGroups.in_ompl} < {*PLANNERS}
     with pytest.raises(UnknownChoiceError, match="tiny"):

@@ -8,7 +8,7 @@ from command_line import run, run_here
 from made_rows import differences
 
 from cvqmpt_lab.benchmarks.results.row import RUNS_FILE, read_rows
-from cvqmpt_lab.planning.planners import CONTROLS, PLANNERS
+from cvqmpt_lab.planning.planners import PLANNERS, controls
 
 SOME = ("birrt", "ompl-projected", "mpnet", "cvq-mpt")
 JUMPING = """
@@ -38,7 +38,7 @@ def repeated(what, suite, planners, iterations, ci, long):
     return pytest.param(suite, planners, iterations, marks=mark, id=what)
 
 
-EVERY = (*PLANNERS, *CONTROLS)
+EVERY = (*PLANNERS, *controls())
 CASES = (
     repeated("four planners", "place-task", SOME, 300, ci=1, long=12),
     repeated("all planners and controls", "place-task", EVERY, 3000, ci=0, long=8),

@@ -11,7 +11,7 @@ from cvqmpt_lab.benchmarks.place_task import TUNING_ENVIRONMENTS, place_problem
 from cvqmpt_lab.benchmarks.results.store import states_hash
 from cvqmpt_lab.certificate.certificate import certify
 from cvqmpt_lab.planning.pipeline import solve, with_drawn_goals
-from cvqmpt_lab.planning.planners import CONTROLS, planner_named
+from cvqmpt_lab.planning.planners import controls, planner_named
 from cvqmpt_lab.search.method import Method
 from cvqmpt_lab.search.planner_interface import Observation, Query, Uniform
 from cvqmpt_lab.search.result import Budget, JointPath, PlanStatus
@@ -211,7 +211,7 @@ def plan(problem, name, budget=ENOUGH):
     return solve(problem, name, budget, seed=0).plan
 
 
-@pytest.mark.parametrize("name", CONTROLS)
+@pytest.mark.parametrize("name", controls())
 def test_controls_solve_repeat_and_give_up(problem, name):
     first, second = plan(problem, name), plan(problem, name)
     assert first.status is PlanStatus.SOLVED and certify(problem, first.path).valid

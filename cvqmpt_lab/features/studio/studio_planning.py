@@ -27,12 +27,12 @@ from cvqmpt_lab.constraints.named import upper_axis
 from cvqmpt_lab.constraints.no_goal import why_none
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, upright
 from cvqmpt_lab.features.motion.motion_check import certified_motion
-from cvqmpt_lab.features.motion.plan import Request, plan
 from cvqmpt_lab.features.motion.trajectory import as_ros_json
 from cvqmpt_lab.features.pictures.drawn_hands import sampled_hands
 from cvqmpt_lab.features.pictures.meshes import Colour
 from cvqmpt_lab.features.pictures.picture import png_of
 from cvqmpt_lab.features.pictures.web_page import path_html
+from cvqmpt_lab.features.plan import Request, plan
 from cvqmpt_lab.planning.margins import Margin
 from cvqmpt_lab.planning.pipeline import PROBLEM_HINT
 from cvqmpt_lab.planning.planners import PLANNERS, default_planner, planner_named

@@ -21,10 +21,10 @@ from cvqmpt_lab.base.errors import (
     whole_number,
 )
 from cvqmpt_lab.base.report import Report
-from cvqmpt_lab.features.motion.plan import Request, plan
 from cvqmpt_lab.features.motion.record import record_of
 from cvqmpt_lab.features.motion.timing import TimingSettings
 from cvqmpt_lab.features.motion.trajectory import Trajectory
+from cvqmpt_lab.features.plan import Request, plan
 from cvqmpt_lab.features.tasks.task import Move, Phase, PlannedPhase, Task
 from cvqmpt_lab.features.tasks.world import World, phase_goals, prepare
 from cvqmpt_lab.planning.margins import NO_MARGIN, Margin

@@ -15,7 +15,6 @@ from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.benchmarks.place_task import place_problem
 from cvqmpt_lab.certificate.certificate import FaultKind
 from cvqmpt_lab.features.motion.motion_check import certified_motion, dry_run
-from cvqmpt_lab.features.motion.plan import Request, plan
 from cvqmpt_lab.features.motion.timing import TimingSettings, time_path
 from cvqmpt_lab.features.motion.trajectory import (
     Motion,
@@ -25,6 +24,7 @@ from cvqmpt_lab.features.motion.trajectory import (
     read_motion,
     save_trajectory,
 )
+from cvqmpt_lab.features.plan import Request, plan
 from cvqmpt_lab.planning.margins import NO_MARGIN
 from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.robot.dynamics import Dynamics, without_effort_limit

@@ -17,12 +17,12 @@ from cvqmpt_lab.experiments import executed
 from cvqmpt_lab.experiments.experiment import Experiment
 from cvqmpt_lab.experiments.run import executor_for, failed_rows, outcome_of, run_experiment
 from cvqmpt_lab.features.motion.motion_check import certified_motion
-from cvqmpt_lab.features.motion.plan import Request, plan
 from cvqmpt_lab.features.motion.trajectory import save_trajectory
 from cvqmpt_lab.features.physics import execute
 from cvqmpt_lab.features.physics.execute import Outcome, agreed, execute_motion, execute_task
 from cvqmpt_lab.features.physics.mjcf import ARMATURE, HAND_SITE, Physics, mjcf_of
 from cvqmpt_lab.features.physics.simulation import Controller
+from cvqmpt_lab.features.plan import Request, plan
 from cvqmpt_lab.features.tasks.task import Release
 from cvqmpt_lab.paper_tables.committed import RESULTS
 from cvqmpt_lab.robot.load import load_robot, robot_from_source, with_gripper

@@ -6,8 +6,8 @@ from refusals import refused
 
 import cvqmpt_lab
 from cvqmpt_lab.base.errors import InvalidInputError
-from cvqmpt_lab.features.motion.plan import Request, plan
 from cvqmpt_lab.features.motion.timing import TimingSettings
+from cvqmpt_lab.features.plan import Request, plan
 from cvqmpt_lab.planning.margins import NO_MARGIN, Margin
 from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.search.result import Budget

@@ -1,7 +1,7 @@
 """One call from a problem to a certified motion: `plan(problem, Request(...))`.
 
 It puts together the run of a problem (`planning.pipeline.solve`), the margin for tracking error
-(`planning.margins`), ends on the move (`moving_ends`) and timing (`motion_check`).
+(`planning.margins`), ends on the move (`motion.moving_ends`) and timing (`motion.motion_check`).
 """
 
 from __future__ import annotations  # so `help` shows types by their names
