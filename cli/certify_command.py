@@ -13,7 +13,7 @@ import numpy as np
 from cvqmpt_lab.base.codec import from_plain
 from cvqmpt_lab.base.errors import InvalidInputError, located
 from cvqmpt_lab.base.files import csv_table, read_json_object, write_text
-from cvqmpt_lab.base.report import Entry, Report
+from cvqmpt_lab.base.reports import Entry, Report
 from cvqmpt_lab.base.values import Array, FloatArray
 from cvqmpt_lab.cli.options import (
     FLAG,

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from cvqmpt_lab.base.errors import InvalidInputError
-from cvqmpt_lab.base.report import Entry, Report
+from cvqmpt_lab.base.reports import Entry, Report
 from cvqmpt_lab.cli.options import (
     FLAG,
     SEED,

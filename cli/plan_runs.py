@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 from cvqmpt_lab.base.errors import InvalidInputError, few
 from cvqmpt_lab.base.files import csv_table, make_folder, write_text
 from cvqmpt_lab.base.jit import compile_in_processes
-from cvqmpt_lab.base.report import Report
+from cvqmpt_lab.base.reports import Report
 from cvqmpt_lab.base.values import bound_text
 from cvqmpt_lab.benchmarks.declarations import SUITES
 from cvqmpt_lab.benchmarks.suite import suite_named

@@ -11,7 +11,7 @@ import numpy as np
 
 from cvqmpt_lab.base.errors import few, mapping
 from cvqmpt_lab.base.files import read_json_object
-from cvqmpt_lab.base.report import Entry, Report
+from cvqmpt_lab.base.reports import Entry, Report
 from cvqmpt_lab.cli.options import FLAG, Options, option, picture_file
 from cvqmpt_lab.cli.problem_arguments import robot_options
 from cvqmpt_lab.cli.problem_options import ROBOT_DETAILS, bodies_option

@@ -16,7 +16,7 @@ import numpy as np
 from cvqmpt_lab.base.codec import field_kinds, from_plain, to_plain
 from cvqmpt_lab.base.errors import InvalidInputError, require_choice
 from cvqmpt_lab.base.files import json_object, json_text, write_text
-from cvqmpt_lab.base.report import Entry, Report
+from cvqmpt_lab.base.reports import Entry, Report
 from cvqmpt_lab.cli.options import (
     REPEATED,
     Options,

@@ -12,7 +12,7 @@ from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 from cvqmpt_lab.base.errors import require_kind, whole_number
-from cvqmpt_lab.base.report import Report
+from cvqmpt_lab.base.reports import Report
 from cvqmpt_lab.constraints.goals import Goals
 from cvqmpt_lab.planning.margins import Kept, Margin, keep_margin, kept_by
 from cvqmpt_lab.planning.pipeline import PROBLEM_HINT, solve

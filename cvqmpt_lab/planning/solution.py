@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from cvqmpt_lab.base.report import Entry, Report
+from cvqmpt_lab.base.reports import Entry, Report
 from cvqmpt_lab.base.values import bound_text
 from cvqmpt_lab.certificate.certificate import Certificate
 from cvqmpt_lab.constraints.report import BoundUse, bound_usage

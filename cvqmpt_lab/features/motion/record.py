@@ -12,7 +12,7 @@ import numpy as np
 
 from cvqmpt_lab.base.files import finite
 from cvqmpt_lab.base.polyline import distances_along
-from cvqmpt_lab.base.report import Report
+from cvqmpt_lab.base.reports import Report
 from cvqmpt_lab.base.values import bound_text
 from cvqmpt_lab.certificate.certificate import (
     CERTIFICATE_TOLERANCE,

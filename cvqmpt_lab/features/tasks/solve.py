@@ -20,7 +20,7 @@ from cvqmpt_lab.base.errors import (
     require_kind,
     whole_number,
 )
-from cvqmpt_lab.base.report import Report
+from cvqmpt_lab.base.reports import Report
 from cvqmpt_lab.features.motion.record import record_of
 from cvqmpt_lab.features.motion.timing import TimingSettings
 from cvqmpt_lab.features.motion.trajectory import Trajectory
