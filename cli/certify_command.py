@@ -13,6 +13,7 @@ import numpy as np
 from cvqmpt_lab.base.codec import from_plain
 from cvqmpt_lab.base.errors import InvalidInputError, located
 from cvqmpt_lab.base.files import csv_table, read_json_object, write_text
+from cvqmpt_lab.base.reports import Entry, Report
 from cvqmpt_lab.base.values import Array, FloatArray
 from cvqmpt_lab.cli.options import (
     FLAG,
@@ -35,7 +36,7 @@ from cvqmpt_lab.features.motion.bags import is_bag
 from cvqmpt_lab.features.motion.judge import ClearanceAt, Judgement, clearance_along, evenly, judge
 from cvqmpt_lab.features.motion.limit_use import Ends, LimitUse, share_text
 from cvqmpt_lab.features.motion.motion_check import dry_run, with_limits_of
-from cvqmpt_lab.features.motion.record import record, report_lines
+from cvqmpt_lab.features.motion.record import record, report_of
 from cvqmpt_lab.features.motion.trajectory import Motion, read_motion
 from cvqmpt_lab.features.tasks.task import Task
 from cvqmpt_lab.features.tasks.world import phase_problems
@@ -83,7 +84,7 @@ def _told(
 ) -> int:
     """Print a judgement; return the exit code."""
     contents = record(problem, motion, judged.check, judged.speed)
-    lines, check = report_lines(judged.check, contents), judged.check
+    report, check = report_of(judged.check, contents), judged.check
     if args.save and not np.isfinite(check.states).all():
         raise InvalidInputError("the motion has states that are not finite: leave --save out")
     for path in args.save:
@@ -94,9 +95,10 @@ def _told(
         from cvqmpt_lab.features.pictures.web_page import path_html  # needed for pages alone
 
         moments, states = evenly(check, 200)
-        times, verdict = (None if check.times is None else moments), lines[0].partition(";")[0]
-        write_text(path, path_html(problem, states, verdict, times=times, lines=lines))
-    print(json.dumps(contents, indent=1, allow_nan=False) if args.json else "\n".join(lines))
+        times = None if check.times is None else moments
+        verdict = report.lines[0].partition(";")[0]
+        write_text(path, path_html(problem, states, verdict, times=times, lines=report.lines))
+    print(json.dumps(report.data, indent=1, allow_nan=False) if args.json else report)
     return 0 if judged.certified else 1
 
 
@@ -169,22 +171,23 @@ def _certify_task(args: argparse.Namespace) -> int:
         )
     motions = [_motion_of(args.path, files[name], index) for name in names]
     problems = phase_problems(task, [motion.positions for motion in motions])
-    records, lines, uses = [], list[str](), list[LimitUse]()
+    records, entries, uses = [], list[Entry](), list[LimitUse]()
     for problem, motion in zip(problems, motions, strict=True):
         found = dry_run(problem, motion, exact_clearance=True)
         records.append(record(problem, motion, found))
         uses += found.uses
-        kept = ("certificate", "fault", "clearance")
-        lines += [line for line in report_lines(found, records[-1]) if line.startswith(kept)]
+        report = report_of(found, records[-1]).only("certificate", "fault", "clearance")
+        entries += report.entries
     valid = sum(contents["valid"] for contents in records)
     whole = valid == len(records)
     seconds = sum(float(np.ptp(motion.times)) for motion in motions if motion.times is not None)
-    lines.append(
-        f"task        {valid} of {len(records)} phases of {task.name} are certified, {seconds:.2f} "
+    told = (
+        f"{valid} of {len(records)} phases of {task.name} are certified, {seconds:.2f} "
         f"s of motion{share_text(uses)}"
     )
-    told = json.dumps({"valid": whole, "phases": records}, indent=1, allow_nan=False)
-    print(told if args.json else "\n".join(lines))
+    entries.append(("task", told))
+    report = Report.of(entries, lambda: {"valid": whole, "phases": records})
+    print(json.dumps(report.data, indent=1, allow_nan=False) if args.json else report)
     return 0 if whole else 1
 
 

@@ -4,10 +4,12 @@ import argparse
 from collections.abc import Iterable, Sequence
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from cvqmpt_lab.base.errors import InvalidInputError
+from cvqmpt_lab.base.reports import Entry, Report
 from cvqmpt_lab.cli.options import (
     FLAG,
     SEED,
@@ -38,9 +40,10 @@ from cvqmpt_lab.features.physics.execute import (
     require_simulated,
 )
 from cvqmpt_lab.features.physics.simulation import CONTROLLERS, Controller, mujoco_module
+from cvqmpt_lab.features.plan import Request, plan
 from cvqmpt_lab.features.tasks.solve import solve_task
 from cvqmpt_lab.features.tasks.task import Task
-from cvqmpt_lab.planning.margins import Margin, solve_with_margin
+from cvqmpt_lab.planning.margins import Margin
 from cvqmpt_lab.planning.planners import default_planner, planner_named
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.search.result import JointPath
@@ -59,12 +62,9 @@ def run(args: argparse.Namespace) -> int:
     executions, share = (
         _task(args, item, times) if isinstance(item, Task) else _motion(args, item, times)
     )
-    outcome, why = agreed(executions)
-    if args.json:
-        runs = [execution.data for execution in executions]
-        print(as_json({"outcome": outcome, "why": why, "executions": runs}))
-    else:
-        print("\n".join(_lines(executions, share)))
+    outcome, _ = agreed(executions)
+    report = _report(executions, share)
+    print(as_json(report.data) if args.json else report)
     if args.film is not None:
         from cvqmpt_lab.features.pictures.bodies import Frame, drawing_of_frames
         from cvqmpt_lab.features.pictures.picture import film_solution
@@ -78,7 +78,7 @@ def run(args: argparse.Namespace) -> int:
     return 0 if outcome == Outcome.EXECUTED else 1
 
 
-def _lines(executions: Sequence[Execution], share: str) -> list[str]:
+def _report(executions: Sequence[Execution], share: str) -> Report:
     """Return the report on one motion or task executed at several contact times.
 
     Args:
@@ -96,42 +96,51 @@ def _lines(executions: Sequence[Execution], share: str) -> list[str]:
     joints = worst(one.off_rad for one in executions)
     tilt = worst(one.tilt_rad for one in executions)
     lines = [
-        f"executed    {first.name}, {first.seconds:.2f} s{share}, by {first.controller}, contact "
-        f"times {times} ms",
-        f"path        the hand at most {1e3 * off:.2g} mm off it, joints {joints:.2g} rad behind",
-        "constraint  "
-        + ("" if np.isnan(tilt) else f"tilt {tilt:.3g} rad, ")
-        + f"{worst(one.outside_rad for one in executions):.2g} rad and "
-        f"{worst(one.outside_m for one in executions):.2g} m outside bounds of positive width",
+        (
+            "executed",
+            f"{first.name}, {first.seconds:.2f} s{share}, by {first.controller}, contact "
+            f"times {times} ms",
+        ),
+        ("path", f"the hand at most {1e3 * off:.2g} mm off it, joints {joints:.2g} rad behind"),
+        (
+            "constraint",
+            ("" if np.isnan(tilt) else f"tilt {tilt:.3g} rad, ")
+            + f"{worst(one.outside_rad for one in executions):.2g} rad and "
+            f"{worst(one.outside_m for one in executions):.2g} m outside bounds of positive width",
+        ),
         *_not_exact(executions),
-        f"efforts     at their limits for {worst(one.saturated_s for one in executions):.3g} s",
+        ("efforts", f"at their limits for {worst(one.saturated_s for one in executions):.3g} s"),
     ]
     if first.drift_m is not None:
         drift = worst(one.drift_m or 0.0 for one in executions)
-        lines.append(f"load        moves {1e3 * drift:.2g} mm in the hand")
+        lines.append(("load", f"moves {1e3 * drift:.2g} mm in the hand"))
     if first.placed_off_m is not None:
         off = worst(one.placed_off_m or 0.0 for one in executions)
-        lines.append(f"placed      {1e3 * off:.2g} mm from its place")
+        lines.append(("placed", f"{1e3 * off:.2g} mm from its place"))
     reason = f": {why}" if why else ""
-    return [*lines, f"outcome     {outcome}{reason}"]
+    lines.append(("outcome", f"{outcome}{reason}"))
+
+    def data() -> dict[str, Any]:
+        runs = [execution.data for execution in executions]
+        return {"outcome": outcome, "why": why, "executions": runs}
+
+    return Report.of(lines, data)
 
 
-def _not_exact(executions: Sequence[Execution]) -> list[str]:
+def _not_exact(executions: Sequence[Execution]) -> list[Entry]:
     """Return lines on values that bounds of width 0 fix, and on functions of the constraint."""
     rad, m = np.max([(one.fixed_off_rad, one.fixed_off_m) for one in executions], axis=0)
     fixed = [f"{x:.2g} {unit}" for x, unit in ((rad, "rad"), (m, "m")) if not np.isnan(x)]
     inexact = "a controller cannot keep {} exactly"
     lines = []
     if fixed:
-        lines.append(
-            f"fixed       at most {' and '.join(fixed)} off the values that bounds of width 0 fix: "
-            + inexact.format("them")
-        )
+        off = f"at most {' and '.join(fixed)} off the values that bounds of width 0 fix: "
+        lines.append(("fixed", off + inexact.format("them")))
     for uses in zip(*(one.functions for one in executions), strict=True):
         outside, off = np.max([use[1:] for use in uses], axis=0)
         said = "" if np.isnan(outside) else f"; {outside:.2g} outside"
         said += "" if np.isnan(off) else f"; at most {off:.2g} off: {inexact.format('it')}"
-        lines.append(f"function    {uses[0].name}{said}")
+        lines.append(("function", f"{uses[0].name}{said}"))
     return lines
 
 
@@ -191,15 +200,17 @@ def _planned(args: argparse.Namespace, problem: PlanningProblem) -> Trajectory:
     settings = TimingSettings(speed=_speed(args))
     problem.robot.joint_limits.scaled(_speed(args))
     method = planner_named(default_planner(problem)[0])
-    solution, _ = solve_with_margin(
-        problem, method, budget(args), args.seed, margin, backend=args.backend
+    request = Request(
+        method, budget(args), args.seed, margin, timing=settings, backend=args.backend
     )
-    if not solution.solved or solution.path is None:
+    planned = plan(problem, request)
+    if planned.motion is None:
+        solution = planned.solution
         raise InvalidInputError(
             f"problem {problem.name} is not solved: {solution.plan.detail or solution.status}"
             "; cvqmpt plan prints details"
         )
-    return certified_motion(problem, solution.path, settings)
+    return planned.motion
 
 
 def _read(

@@ -10,9 +10,10 @@ import numpy as np
 from cvqmpt_lab.base.codec import field_kinds, from_plain
 from cvqmpt_lab.base.errors import InvalidInputError, require_choice
 from cvqmpt_lab.base.files import json_object
+from cvqmpt_lab.base.reports import Report
 from cvqmpt_lab.cli.options import log, numbers
 from cvqmpt_lab.cli.problem_arguments import chosen_robot, configuration, is_function
-from cvqmpt_lab.cli.scan_command import scan_report
+from cvqmpt_lab.cli.scan_command import scan_entries
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.goals import SAMPLE_MARGIN_M, sample_region
 from cvqmpt_lab.constraints.named import (
@@ -70,7 +71,7 @@ def scanned(files: Sequence[Path], arm: Arm) -> Scan:
     from cvqmpt_lab.features.scan.captures import scan_of_clouds  # few plans need it
 
     made = scan_of_clouds(files, arm)
-    log("\n".join(scan_report(made, files)))
+    log(str(Report.of(tuple(scan_entries(made, files)))))
     return made
 
 

@@ -28,7 +28,7 @@ from cvqmpt_lab.cli.problem_options import (
     optimize_option,
     velocity_options,
 )
-from cvqmpt_lab.planners import declared
+from cvqmpt_lab.planning.by_name import declared
 
 # default of --optimize: on the templates of six arms, paths after 1 s are at most 1 % shorter
 OPTIMIZE_S = 0.25

@@ -10,7 +10,7 @@ import re
 import signal
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 from cvqmpt_lab.base.errors import InvalidInputError, few
 from cvqmpt_lab.base.files import csv_table, make_folder, write_text
 from cvqmpt_lab.base.jit import compile_in_processes
+from cvqmpt_lab.base.reports import Report
 from cvqmpt_lab.base.values import bound_text
 from cvqmpt_lab.benchmarks.declarations import SUITES
 from cvqmpt_lab.benchmarks.suite import suite_named
@@ -41,12 +42,14 @@ from cvqmpt_lab.cli.problem_arguments import (
     robot_source,
     with_clearance,
 )
+from cvqmpt_lab.features.plan import Plan, Request, plan
 from cvqmpt_lab.features.tasks.task import Task
-from cvqmpt_lab.planning.margins import Kept, Margin, kept_by, solve_keeping
+from cvqmpt_lab.planning.margins import Margin
 from cvqmpt_lab.planning.planners import default_planner, planner_named
-from cvqmpt_lab.planning.solution import Solution, solution_data
+from cvqmpt_lab.planning.solution import Solution
+from cvqmpt_lab.planning.usable import with_projected_start
 from cvqmpt_lab.planning.warm_up import compile_kernels, warm_up
-from cvqmpt_lab.problem import PlanningProblem, with_projected_start
+from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.robot import SLOW_SPEED, Robot
 
@@ -71,28 +74,26 @@ def run(args: argparse.Namespace) -> int:
         refuse_given(args, ("duration",), "goes with one motion; give a task its --speed")
         refuse_given(args, moving, "goes with one motion; those of a task begin and end at rest")
     args.speed = SLOW_SPEED if args.speed is None else args.speed
+    solution: Solution | TaskSolution
+    write: Callable[[], str]
     if isinstance(item, Task):
-        solution, report = _solved_task(args, item)
+        done, report = _solved_task(args, item)
+        solution, write = done, partial(_write_trajectories, args, done)
     else:
-        solution, report = _solved_problem(args, item)
-    print(as_json(report) if isinstance(report, dict) else "\n".join(report))
+        planned, report = _solved_problem(args, item)
+        solution, write = planned.solution, partial(_write_trajectory, args, planned)
+    print(as_json(report.data) if args.json else report)
     # with --json, standard output holds the json object alone
     say = partial(print, file=sys.stderr if args.json else sys.stdout)
     if args.trajectory:
-        say(
-            _write_trajectory(args, solution)
-            if isinstance(solution, Solution)
-            else _write_trajectories(args, solution)
-        )
+        say(write())
     for line in _show(args, solution):
         say(line)
     return 0 if solution.solved else 1
 
 
-def _solved_problem(
-    args: argparse.Namespace, problem: PlanningProblem
-) -> tuple["Solution | TaskSolution", dict[str, Any] | list[str]]:
-    """Solve a problem; return its solution and report, which is data for --json, else lines."""
+def _solved_problem(args: argparse.Namespace, problem: PlanningProblem) -> tuple[Plan, Report]:
+    """Plan for a problem; return the plan and its report."""
     if args.project_start:
         problem = with_projected_start(problem)
     planner, why = (args.planner, "") if args.planner else default_planner(problem)
@@ -111,53 +112,54 @@ def _solved_problem(
         # a wrong file name or speed is refused before anything is planned
         kind_of(writable_file(args.trajectory), TRAJECTORY_WRITERS, "trajectory")
         problem.robot.joint_limits.scaled(args.speed)
-    velocities = end_velocities(args, problem.robot)
+    timing = _timing(args, problem.robot)
     margin = Margin(*args.margin).check()
     warm_up(problem, method, args.backend)
     if args.verbose:
         logging.basicConfig(format="%(name)s: %(message)s", level=logging.INFO)
-    kept = Kept(None, margin)
-
-    def solved(problem: PlanningProblem) -> Solution:
-        nonlocal kept
-        solution, kept = solve_keeping(
-            problem,
-            method,
-            budget(args),
-            args.seed,
-            margin,
-            backend=args.backend,
-            optimize=optimize_budget(args, OPTIMIZE_S),
-            near_goals_first=args.suite is None,
-            exact_clearance=args.exact_clearance,
-        )
-        return solution
-
-    if not any(velocity is not None for velocity in velocities):
-        solution = solved(problem)
-    else:
-        from cvqmpt_lab.features.lines.moving_ends import solve_on_the_move
-
-        limits = problem.robot.joint_limits.scaled(args.speed)
-        solution = solve_on_the_move(problem, velocities, limits, solved, args.exact_clearance)
-        if solution.path is not None:
-            kept = kept_by(problem, solution.path, kept)
-    if args.json:
-        # it needs scipy.interpolate, which takes half a second to import
-        from cvqmpt_lab.features.motion.record import record_of
-
-        data = solution_data(solution, planner, record_of(solution, problem), why)
-        return solution, data | {"margin": str(kept)}
-    return solution, [*solution.report(planner, why), f"margin      {kept}"]
+    request = Request(
+        method,
+        budget(args),
+        args.seed,
+        margin,
+        optimize_budget(args, OPTIMIZE_S),
+        timing,
+        args.backend,
+        args.exact_clearance,
+        near_goals_first=args.suite is None,
+    )
+    planned = plan(problem, request)
+    return planned, planned.report(planner, why, partial(_record, planned.solution, problem))
 
 
-def _solved_task(
-    args: argparse.Namespace, task: Task
-) -> tuple["Solution | TaskSolution", dict[str, Any] | list[str]]:
-    """Solve a task; return its solution and report, which is data for --json, else lines."""
+def _record(solution: Solution, problem: PlanningProblem) -> dict[str, Any] | None:
+    """Return the record of a solution's certificate for the problem of the user."""
+    # it needs scipy.interpolate, which takes half a second to import
+    from cvqmpt_lab.features.motion.record import record_of
+
+    return record_of(solution, problem)
+
+
+def _timing(args: argparse.Namespace, robot: Robot) -> "TimingSettings | None":
+    """Return the settings of the motion that --trajectory asks for; None without it."""
+    end_velocities(args, robot)  # refuses a wrong number of them
+    if args.trajectory is None:
+        return None
+    from cvqmpt_lab.features.motion.timing import TimingSettings
+
+    return TimingSettings(
+        speed=args.speed,
+        duration=args.duration,
+        start_velocity=args.start_velocity,
+        end_velocity=args.end_velocity,
+    )
+
+
+def _solved_task(args: argparse.Namespace, task: Task) -> tuple["TaskSolution", Report]:
+    """Solve a task; return its solution and report."""
     # timing needs scipy.interpolate, which takes half a second to import
     from cvqmpt_lab.features.motion.timing import TimingSettings
-    from cvqmpt_lab.features.tasks.solve import solve_task, task_data, task_lines
+    from cvqmpt_lab.features.tasks.solve import solve_task, task_report
 
     of_problems = ("cloud", "optimize", "project_start")
     refuse_given(args, of_problems, "does not go with a task; leave it out")
@@ -180,9 +182,7 @@ def _solved_task(
     # a wrong speed is refused before anything is planned
     robot_from_source(task.robot).joint_limits.scaled(args.speed)
     solution = solve_task(task, method, budget(args), args.seed, timing, args.backend, margin)
-    if args.json:
-        return solution, task_data(solution, planner)
-    return solution, task_lines(solution, planner, args.speed)
+    return solution, task_report(solution, planner, args.speed)
 
 
 def _problem_or_task(args: argparse.Namespace) -> PlanningProblem | Task:
@@ -206,21 +206,13 @@ def _problem_or_task(args: argparse.Namespace) -> PlanningProblem | Task:
     return chosen_problem(args)
 
 
-def _write_trajectory(args: argparse.Namespace, solution: Solution) -> str:
+def _write_trajectory(args: argparse.Namespace, planned: Plan) -> str:
     """Time the certified path, certify and write the motion; return the line to print."""
-    from cvqmpt_lab.features.motion.motion_check import certified_motion
-    from cvqmpt_lab.features.motion.timing import TimingSettings
     from cvqmpt_lab.features.motion.trajectory import save_trajectory
 
-    if not solution.solved or solution.path is None:
+    motion, timing, solution = planned.motion, planned.request.timing, planned.solution
+    if motion is None or timing is None:
         return "trajectory  none: only certified paths are timed"
-    timing = TimingSettings(
-        speed=args.speed,
-        duration=args.duration,
-        start_velocity=args.start_velocity,
-        end_velocity=args.end_velocity,
-    )
-    motion = certified_motion(solution.problem, solution.path, timing)
     motion = _at_rate(args.rate, solution.problem, motion, timing)
     save_trajectory(motion, args.trajectory, solution.problem.robot.joint_limits)
     return (

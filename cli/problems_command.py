@@ -59,6 +59,7 @@ from cvqmpt_lab.constraints.named import Region, rpy_of, upper_axis
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.features.tasks.task import Task
 from cvqmpt_lab.planning.pipeline import with_drawn_goals
+from cvqmpt_lab.planning.usable import why_no_goal
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
@@ -294,7 +295,7 @@ def ik(args: argparse.Namespace) -> int:
         postures = f"{len(configurations)} posture{'s' * (len(configurations) != 1)}"
         print(f"{postures} found, {args.count} asked; {found.outcome}")
         if not configurations:
-            print(replace(problem, goal_region=region).why_no_goal())
+            print(why_no_goal(replace(problem, goal_region=region)))
     return 0 if configurations else 1
 
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from cvqmpt_lab.base.errors import few
 from cvqmpt_lab.base.files import json_text, write_text
+from cvqmpt_lab.base.reports import Entry, Report
 from cvqmpt_lab.cli.options import FLAG, Options, file_of_kind, log, option, picture_file
 from cvqmpt_lab.cli.problem_arguments import robot_options, source_named
 from cvqmpt_lab.cli.problem_options import ROBOT_DETAILS
@@ -33,8 +34,8 @@ def run(args: argparse.Namespace) -> None:
     source, guesses = source_named(args.robot, robot_options(args))
     robot = with_tool_speed(robot_from_source(source), args.tool_speed)
     model = describe(robot)
-    lines = report(robot, model, guesses)
-    print(json.dumps(model, indent=1) if args.json else "\n".join(lines))
+    report = Report.of(entries(robot, model, guesses), lambda: model, width=13)
+    print(json.dumps(report.data, indent=1) if args.json else report)
     if args.picture:
         from cvqmpt_lab.features.pictures.picture import draw
 
@@ -109,8 +110,8 @@ def describe(robot: Robot, tried: int = 200) -> dict[str, Any]:
     }
 
 
-def report(robot: Robot, model: dict[str, Any], guesses: list[str]) -> Iterator[str]:
-    """Yield the lines of the report on a robot.
+def entries(robot: Robot, model: dict[str, Any], guesses: list[str]) -> Iterator[Entry]:
+    """Yield the labelled lines of the report on a robot.
 
     Args:
         robot: the robot.
@@ -119,13 +120,16 @@ def report(robot: Robot, model: dict[str, Any], guesses: list[str]) -> Iterator[
             chose the end effector.
     """
     yield (
-        f"robot        {robot.name}: {robot.dof} joints, reach {robot.reach:.2f} m, digest "
-        f"{robot.kinematics_digest}"
+        (
+            "robot",
+            f"{robot.name}: {robot.dof} joints, reach {robot.reach:.2f} m, digest "
+            f"{robot.kinematics_digest}",
+        )
     )
     guessed = (
         f" (guessed from {', '.join(guesses)}: --end-effector chooses another)" if guesses else ""
     )
-    yield f"end effector {' and '.join(robot.end_effectors)}{guessed}"
+    yield ("end effector", f"{' and '.join(robot.end_effectors)}{guessed}")
     for joint in model["joints"]:
         unit = "m" if joint["kind"] == "prismatic" else "rad"
         speed_limit = (
@@ -134,34 +138,40 @@ def report(robot: Robot, model: dict[str, Any], guesses: list[str]) -> Iterator[
             else ", no velocity limit"
         )
         limits = f"{joint['lower']:.3f} to {joint['upper']:.3f} {unit}"
-        yield f"joint        {joint['name']}: {joint['kind']}, {limits}{speed_limit}"
+        yield ("joint", f"{joint['name']}: {joint['kind']}, {limits}{speed_limit}")
     for reason, count in Counter(joint.reason for joint in robot.held_joints).items():
         names = [f"{j.name}={j.value:g}" for j in robot.held_joints if j.reason == reason]
-        yield f"held         {count} {reason}: {_listed(names)}"
+        yield ("held", f"{count} {reason}: {_listed(names)}")
     for follower in robot.followers:
         yield (
-            f"follows      {follower.name} = {follower.multiplier:g} * {follower.leader} "
-            f"{follower.offset:+g}"
+            (
+                "follows",
+                f"{follower.name} = {follower.multiplier:g} * {follower.leader} "
+                f"{follower.offset:+g}",
+            )
         )
-    yield f"frames       {len(model['frames'])}: {_listed(model['frames'])}"
-    yield f"pieces       {len(robot.links)}: {_listed([piece.name for piece in robot.links])}"
+    yield ("frames", f"{len(model['frames'])}: {_listed(model['frames'])}")
+    yield ("pieces", f"{len(robot.links)}: {_listed([piece.name for piece in robot.links])}")
     reasons = Counter(pair.reason for pair in robot.left_out_pairs)
     left_out = ", ".join(f"{count} {reason}" for reason, count in reasons.items()) or "none"
     yield (
-        f"pairs        {len(robot.self_collision_pairs)} pairs of pieces are checked; pairs of "
-        f"links left out: {left_out}"
+        (
+            "pairs",
+            f"{len(robot.self_collision_pairs)} pairs of pieces are checked; pairs of "
+            f"links left out: {left_out}",
+        )
     )
     for pair in robot.left_out_pairs:
         if pair.reason.startswith(OVERLAP):
-            yield f"             {pair.first} and {pair.second} {pair.reason}: not checked"
+            yield ("", f"{pair.first} and {pair.second} {pair.reason}: not checked")
     free = 100.0 * model["share_free_of_self_collision"]
-    yield f"free         {free:.0f} % of random configurations are free of self-collision"
+    yield ("free", f"{free:.0f} % of random configurations are free of self-collision")
     for note in robot.notes:
-        yield f"note         {note}"
+        yield ("note", note)
     if "acceleration" not in robot.limits:
-        yield "timing       no acceleration limits: timed motions need --acceleration"
+        yield ("timing", "no acceleration limits: timed motions need --acceleration")
     if unlimited := without_effort_limit(robot):
-        yield f"timing       {unlimited}"
+        yield ("timing", unlimited)
 
 
 def _listed(names: Iterable[str]) -> str:

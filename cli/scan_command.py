@@ -14,6 +14,7 @@ import numpy as np
 from cvqmpt_lab.base.codec import to_plain
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.base.files import json_text, write_text
+from cvqmpt_lab.base.reports import Entry, Report
 from cvqmpt_lab.cli.options import (
     REPEATED,
     Options,
@@ -144,12 +145,14 @@ def _each(option: str, given: Sequence[Path], files: Sequence[Path]) -> Sequence
     return given or [None] * len(files)
 
 
-def scan_report(made: Scan, files: Sequence[Path]) -> Iterator[str]:
-    """Yield the lines of the report on a scan."""
+def scan_entries(made: Scan, files: Sequence[Path]) -> Iterator[Entry]:
+    """Yield the labelled lines of the report on a scan."""
     names = ", ".join(path.name for path in files)
     yield (
-        f"scan        {names}: {made.steps[0].before} points, {made.dropped} pixels or rows "
-        "without one"
+        (
+            "scan",
+            f"{names}: {made.steps[0].before} points, {made.dropped} pixels or rows without one",
+        )
     )
     if made.levelled is not None:
         from scipy.spatial.transform import Rotation  # a third of a second to import
@@ -157,33 +160,39 @@ def scan_report(made: Scan, files: Sequence[Path]) -> Iterator[str]:
         T, plane = made.levelled
         tilt = np.degrees(np.arccos(np.clip(plane.normal @ CAMERA_UP, -1.0, 1.0)))
         yield (
-            f"levelled    by a table of {plane.share:.0%} of the points, flat to "
-            f"{1e3 * plane.residual:.1f} mm: the camera looks {tilt:.1f} deg down from "
-            f"{-plane.offset:.2f} m above it"
+            (
+                "levelled",
+                f"by a table of {plane.share:.0%} of the points, flat to "
+                f"{1e3 * plane.residual:.1f} mm: the camera looks {tilt:.1f} deg down from "
+                f"{-plane.offset:.2f} m above it",
+            )
         )
         quaternion = Rotation.from_matrix(T[:3, :3]).as_quat().round(6).tolist()
         yield (
-            "extrinsics  "
-            f"{json.dumps({'xyz': T[:3, 3].round(4).tolist(), 'quaternion': quaternion})}"
+            "extrinsics",
+            json.dumps({"xyz": T[:3, 3].round(4).tolist(), "quaternion": quaternion}),
         )
     for step in made.steps:
-        yield f"{step.name:11} {step.before} -> {step.after} points"
+        yield (f"{step.name:11} ", f"{step.before} -> {step.after} points")
     if made.plane is not None:
         done = "now a box" if made.table is not None else "gone"
         yield (
-            f"plane       flat to {1e3 * made.plane.residual:.1f} mm, at z = "
-            f"{made.plane.offset:.3f} m: {done}"
+            (
+                "plane",
+                f"flat to {1e3 * made.plane.residual:.1f} mm, at z = "
+                f"{made.plane.offset:.3f} m: {done}",
+            )
         )
 
 
-def _spared(args: argparse.Namespace, arm: Arm | None) -> list[str]:
+def _spared(args: argparse.Namespace, arm: Arm | None) -> list[Entry]:
     """Return a line on where --unknown occupied makes no obstacles."""
     if args.unknown != "occupied":
         return []
     spared = "the arm may stand in them: give --arm-at Q, its configuration, to leave out its own"
     if arm is not None:
         spared = f"except those in which {arm.robot.name} stands during the scan"
-    return [f"unknown     cells that no ray crossed are obstacles, {spared}"]
+    return [("unknown", f"cells that no ray crossed are obstacles, {spared}")]
 
 
 def run(args: argparse.Namespace) -> None:
@@ -207,7 +216,7 @@ def run(args: argparse.Namespace) -> None:
     check_extent(scene, robot.reach, "scan")
     if arm is not None:
         refuse_touching(scene, arm)
-    print("\n".join((*scan_report(made, files), *_spared(args, arm))))
+    print(Report.of((*scan_entries(made, files), *_spared(args, arm))))
     for note in scene.notes:
         print(f"unseen      {note}")
     for path in args.out:

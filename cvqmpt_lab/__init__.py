@@ -4,8 +4,19 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from cvqmpt_lab.base.arithmetic import pin
+from cvqmpt_lab.base.modules import provide
 
 pin()  # before numpy or numba is imported
+# parts that files of lower layers use, by who provides them, see `base.modules`
+provide(
+    {
+        "checks of functions": ("cvqmpt_lab.planning.usable:checked_functions",),
+        "checks of lengths": ("cvqmpt_lab.planning.usable:check_lengths",),
+        "drawn start": ("cvqmpt_lab.planning.usable:drawn_start",),
+        "exact checker": ("cvqmpt_lab.collision.exact:checker_of",),
+        "function of an address": ("cvqmpt_lab.constraints.function_files:function_of",),
+    }
+)
 
 # Editors and type checkers read these imports; at run time `__getattr__` does them when needed.
 if TYPE_CHECKING:
@@ -32,9 +43,10 @@ if TYPE_CHECKING:
     )
     from cvqmpt_lab.features.physics.execute import execute_motion
     from cvqmpt_lab.features.pictures.picture import draw, film_solution
+    from cvqmpt_lab.features.plan import Plan, Request, plan
     from cvqmpt_lab.features.tasks.solve import solve_task
     from cvqmpt_lab.features.tasks.task import Task
-    from cvqmpt_lab.planning.margins import Margin, solve_with_margin
+    from cvqmpt_lab.planning.margins import Margin
     from cvqmpt_lab.planning.pipeline import solve, solve_many
     from cvqmpt_lab.planning.planners import PLANNERS, planner_named
     from cvqmpt_lab.problem import PlanningProblem
@@ -67,9 +79,11 @@ __all__ = [
     "Motion",
     "OccupancyMap",
     "Placement",
+    "Plan",
     "PlanningProblem",
     "PointCloud",
     "Proposal",
+    "Request",
     "Scene",
     "SceneObject",
     "Sphere",
@@ -88,6 +102,7 @@ __all__ = [
     "load_function",
     "load_robot",
     "load_vq_mpt",
+    "plan",
     "planner_named",
     "pose",
     "read_cloud",
@@ -100,7 +115,6 @@ __all__ = [
     "solve",
     "solve_many",
     "solve_task",
-    "solve_with_margin",
     "suite_named",
     "time_path",
     "torch_constraint",
@@ -115,6 +129,7 @@ _NAMES: dict[str, tuple[str, ...]] = {
     "certificate.certificate": ("certify",),
     "features.motion.judge": ("judge",),
     "features.motion.motion_check": ("certified_motion",),
+    "features.plan": ("Plan", "Request", "plan"),
     "constraints.function": ("FunctionConstraint", "torch_constraint"),
     "constraints.function_files": ("allow_code", "load_function"),
     "constraints.named": ("region",),
@@ -125,7 +140,7 @@ _NAMES: dict[str, tuple[str, ...]] = {
         "upright_box",
     ),
     "features.physics.execute": ("execute_motion",),
-    "planning.margins": ("Margin", "solve_with_margin"),
+    "planning.margins": ("Margin",),
     "planning.pipeline": ("solve", "solve_many"),
     "planning.planners": ("PLANNERS", "planner_named"),
     "problem": ("PlanningProblem",),
@@ -151,6 +166,10 @@ _NAMES: dict[str, tuple[str, ...]] = {
 _MODULE_OF = {name: module for module, names in _NAMES.items() for name in names}
 
 
+_REMOVED = {"solve_with_margin": "call plan(problem, Request(planner, budget, seed, margin))"}
+"""Names of earlier versions, and what to do instead."""
+
+
 if not TYPE_CHECKING:  # with it, type checkers would accept any name
 
     def __getattr__(name: str) -> Any:
@@ -159,6 +178,8 @@ if not TYPE_CHECKING:  # with it, type checkers would accept any name
             from importlib.metadata import version
 
             return version("cvqmpt-lab")
+        if name in _REMOVED:
+            raise AttributeError(f"{__name__}.{name} was removed: {_REMOVED[name]}")
         if name not in _MODULE_OF:
             known = ", ".join(sorted(__all__, key=str.lower))
             raise AttributeError(

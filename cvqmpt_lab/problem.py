@@ -1,5 +1,7 @@
 """Planning problems: a robot in a scene under a constraint, from a start to any of several goals.
 
+A problem is data. Its checks by inverse kinematics, and of collision, are in `planning.usable`.
+
 Problems are saved as json, schema ``cvqmpt-problem/1`` (for editors:
 `base.json_schema`)::
 
@@ -27,23 +29,18 @@ only if no goals are given.
 
 from __future__ import annotations  # so `help` shows forms by their names
 
-import threading
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
-from typing import Annotated, Any, ClassVar, Self
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Annotated, Any, ClassVar, Protocol, Self
 
 import numpy as np
 
 from cvqmpt_lab.base.codec import Document, OneOrMore, to_plain
 from cvqmpt_lab.base.errors import InvalidProblemError, mapping, unique
+from cvqmpt_lab.base.modules import provider
 from cvqmpt_lab.base.values import FULL_TURN_RAD, Array, Condition, FloatArray, Name, frozen
-from cvqmpt_lab.collision.carried import reach_with
-from cvqmpt_lab.collision.exact import CollisionChecker
-from cvqmpt_lab.constraints.goals import SAMPLE_MARGIN_M, find_in_region
-from cvqmpt_lab.constraints.holding import really_held
 from cvqmpt_lab.constraints.named import Region, RegionForm
-from cvqmpt_lab.constraints.project import PROJECTION_TOLERANCE
 from cvqmpt_lab.constraints.region_constraint import (
     Member,
     RegionConstraint,
@@ -51,8 +48,10 @@ from cvqmpt_lab.constraints.region_constraint import (
     functions_of,
     regions_of,
 )
-from cvqmpt_lab.constraints.report import broken_bound, displacements
-from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, TaskSpaceRegionChain
+from cvqmpt_lab.constraints.task_space_region import (
+    TaskSpaceRegion,
+    TaskSpaceRegionChain,
+)
 from cvqmpt_lab.robot.dynamics import Dynamics
 from cvqmpt_lab.robot.load import SourceForm, State, numbers_of, robot_from_source
 from cvqmpt_lab.robot.robot import Robot, nearest_turn
@@ -60,12 +59,25 @@ from cvqmpt_lab.scene.coal_shapes import loads_of
 from cvqmpt_lab.scene.scene import (
     Attachment,
     NamedScene,
-    Scene,
-    check_extent,
     log,
-    refuse_far_poses,
 )
 from cvqmpt_lab.scene.scene_files import with_files_read
+
+
+class Checker(Protocol):
+    """An exact collision checker: `collision.exact.CollisionChecker`."""
+
+    def in_collision(self, q: np.ndarray) -> bool:
+        """Return whether configuration q (n,) touches anything."""
+
+    def in_collision_batch(self, states: np.ndarray) -> np.ndarray:
+        """Return which of states (k, n) touch anything, (k,) bool."""
+
+    def clearance(self, q: np.ndarray) -> float:
+        """Return the least distance of all pairs at q (n,) [m]."""
+
+    def contact(self, q: np.ndarray) -> str:
+        """Return what touches at q (n,), in words."""
 
 
 class RobotForm(SourceForm):
@@ -108,9 +120,8 @@ class MemberForm:
         if hasattr(value, "on"):
             return value
         if isinstance(value, Mapping) and "function" in value:
-            from cvqmpt_lab.constraints.function_files import function_of  # few problems have one
-
-            return function_of(value, where)
+            member: Member = provider("function of an address")(value, where)
+            return member
         return RegionForm(with_functions=True).read(value, where)
 
     def write(self, value: Any) -> Any:
@@ -175,7 +186,7 @@ class PlanningProblem(Document):
                 f"{self.name}: give 'start' or 'start_region', one of the two"
             )
         if self.start_region is not None:
-            object.__setattr__(self, "start", self._drawn_start())
+            object.__setattr__(self, "start", provider("drawn start")(self))
             object.__setattr__(self, "start_region", None)
         if len(self.goals) == 0:
             object.__setattr__(self, "goals", np.empty((0, self.robot.dof)))
@@ -200,15 +211,7 @@ class PlanningProblem(Document):
         Refuses lengths that cannot be metres; warns when nothing of the scene is within reach.
         """
         problem = super().from_dict(_with_numbers(data))
-        check_extent(problem.scene, reach_with(problem.robot, problem.attachments))
-        regions = {
-            f"constraint[{k}]": region
-            for k, region in enumerate(problem.constraint)
-            if isinstance(region, TaskSpaceRegion)
-        }
-        if problem.goal_region is not None:
-            regions["goal_region"] = problem.goal_region
-        refuse_far_poses({f"{where}: its frame": region.T0_w for where, region in regions.items()})
+        provider("checks of lengths")(problem)
         return problem
 
     def _check_regions(self, most: int = 32) -> None:
@@ -272,19 +275,8 @@ class PlanningProblem(Document):
                     f"{self.name}: {label} is outside the limits: {outside[0]} by "
                     f"{outside[1]:.4g}; {cure}"
                 )
-
-        for function in functions_of(self.constraint):
-            from cvqmpt_lab.constraints.function_checks import check_function  # few have one
-
-            check_function(function, self.robot, self.start)
-        if functions_of(self.constraint) and not np.array_equal(given, goals):
-            # functions may change by a whole turn of a joint: such goals stay as they are given
-            inside = ((given >= self.robot.lower) & (given <= self.robot.upper)).all(axis=1)
-            off, turned_off = (
-                np.linalg.norm(self.manifold.residual(states), axis=1) for states in (given, goals)
-            )
-            kept = inside & (off <= PROJECTION_TOLERANCE) & (turned_off > PROJECTION_TOLERANCE)
-            object.__setattr__(self, "goals", frozen(np.where(kept[:, None], given, goals)))
+        if functions_of(self.constraint):
+            object.__setattr__(self, "goals", provider("checks of functions")(self, given))
 
     def _load_functions(self) -> None:
         """Tell constraints that depend on it what the robot carries."""
@@ -340,23 +332,6 @@ class PlanningProblem(Document):
         moved = np.where(np.abs(moved - inside) <= rounding, inside, moved)
         return states if np.array_equal(moved, states) else frozen(moved)
 
-    def _drawn_start(self) -> FloatArray:
-        """Draw the start (n,) in the start region and constraint; always the same one."""
-        assert self.start_region is not None
-        checker, rng = self.collision_checker(SAMPLE_MARGIN_M), np.random.default_rng(0)
-        found = find_in_region(
-            self.robot, self.start_region, checker, rng, count=1, within=self.constraint
-        )
-        if len(found.configurations) == 0:
-            check_extent(self.scene, reach_with(self.robot, self.attachments))
-            from cvqmpt_lab.constraints.no_goal import why_none  # for errors alone
-
-            why = why_none(self.robot, self.start_region, checker, self.constraint)
-            raise InvalidProblemError(
-                f"{self.name}: no start in 'start_region': {found.outcome}; {why}"
-            )
-        return frozen(found.configurations[0])
-
     def labelled_configurations(self) -> Iterator[tuple[str, np.ndarray]]:
         """Yield ("start", q), ("goal 0", q), ..."""
         yield "start", self.start
@@ -402,18 +377,10 @@ class PlanningProblem(Document):
         """Return a generator seeded by keys, such as a seed, and by the start."""
         return np.random.default_rng([*keys, *np.abs(self.start * 1e6).astype(np.uint64)])
 
-    def why_no_goal(self) -> str:
-        """Return why no configuration was found for the goal region, in words; see `why_none`."""
-        from cvqmpt_lab.constraints.no_goal import why_none  # for errors alone
-
-        assert self.goal_region is not None
-        return why_none(
-            self.robot, self.goal_region, self.collision_checker(SAMPLE_MARGIN_M), self.constraint
-        )
-
-    def collision_checker(self, margin: float = 0.0) -> CollisionChecker:
+    def collision_checker(self, margin: float = 0.0) -> Checker:
         """Return the exact checker of this problem; distances below margin [m] are collisions."""
-        return shared_checker(self.robot, self.scene, self.carried, margin, self.clearance)
+        checker: Checker = provider("exact checker")(self, margin)
+        return checker
 
 
 def _with_numbers(data: Any) -> Any:
@@ -434,134 +401,39 @@ def _with_numbers(data: Any) -> Any:
     return {**data, "robot": robot, **read}
 
 
-@lru_cache(maxsize=8)
-def _checker_of_thread(thread: int, *parts: Any) -> CollisionChecker:
-    """Return a checker for one thread alone: a check writes to pinocchio's and coal's data."""
-    return CollisionChecker(*parts)
+def really_held(
+    robot: Robot, attachments: tuple[Attachment, ...], regions: Sequence[TaskSpaceRegion]
+) -> tuple[Attachment, ...]:
+    """Attachments without the hands in `also_held_by` that no region keeps at them.
 
-
-def shared_checker(
-    robot: Robot,
-    scene: Scene,
-    attachments: tuple[Attachment, ...],
-    margin: float,
-    clearance: float = 0.0,
-) -> CollisionChecker:
-    """Return the exact checker of a world, cached for this thread; making one takes 10 ms.
+    A hand is kept if regions between hands lead from the carrying hand to it, each with at most
+    2 cm and 0.2 rad from its lower to its upper bounds; it may turn further about one axis.
 
     Args:
         robot: the robot.
-        scene: obstacles.
-        attachments: bodies that the robot carries.
-        margin: distances below it are collisions [m].
-        clearance: kept from obstacles in addition [m].
+        attachments: what it carries.
+        regions: the constraint.
     """
-    thread = threading.get_ident()
-    return _checker_of_thread(thread, robot, scene, attachments, margin, clearance)
-
-
-def check_problem(problem: PlanningProblem) -> None:
-    """Refuse a start or goal in collision, off the manifold or outside the goal region."""
-    for _, what, cure in _faults(problem, problem.goals):
-        raise InvalidProblemError(f"{problem.name}: {what}; {cure}")
-
-
-def usable_goals(problem: PlanningProblem, goals: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Return the goals (k, n) that `check_problem` accepts, and why each other one is left out.
-
-    InvalidProblemError: the start is refused, or every goal.
-    """
-    left_out: dict[int, str] = {}
-    for k, what, cure in _faults(problem, goals):
-        left_out.setdefault(k, what)
-        if k < 0 or len(left_out) == len(goals):
-            several = f"none of {len(left_out)} goals can be used: " if len(left_out) > 1 else ""
-            raise InvalidProblemError(f"{problem.name}: {several}{what}; {cure}")
-    return frozen(np.delete(goals, [*left_out], axis=0)), tuple(left_out.values())
-
-
-def _faults(problem: PlanningProblem, goals: np.ndarray) -> Iterator[tuple[int, str, str]]:
-    """Number of a goal of (k, n), or -1 for the start; why it cannot be used; and the cure."""
-    checker = problem.collision_checker()
-    states = np.vstack([problem.start, goals])
-    off = np.linalg.norm(problem.manifold.residual(states), axis=1) > PROJECTION_TOLERANCE
-    for k, q in enumerate(states, start=-1):
-        label = "start" if k < 0 else f"goal {k}"
-        if checker.in_collision(q):
-            gap = (
-                ", or leave 1 mm between what is carried and what it stands on"
-                if problem.attachments
-                else ""
-            )
-            found = f"{label} is in collision: {checker.contact(q)}"
-            yield k, found, f"choose another configuration{gap}"
-        if off[k + 1]:
-            yield k, *_off_manifold(problem, goals, label, q)
-    if problem.goal_region is None:
-        return
-    lower, upper = problem.goal_region.bounds.T
-    x = displacements(problem.robot, problem.goal_region, goals)
-    outside = np.maximum(lower - x, x - upper).max(axis=1)
-    for k in np.flatnonzero(outside > 1e-3).tolist():
-        yield (
-            k,
-            f"goal {k} lies outside 'goal_region' by {outside[k]:.4f} (rad or m)",
-            "take out 'goals', and new ones are drawn from the region, or 'goal_region'",
-        )
-
-
-def with_projected_start(problem: PlanningProblem) -> PlanningProblem:
-    """Return the problem with its start projected by Algorithm 1; refuse it if that fails."""
-    start = problem.manifold.project(problem.start)
-    if start is None:
-        raise InvalidProblemError(
-            f"{problem.name}: the projection of the start fails: "
-            + "; ".join(_off_manifold(problem, problem.goals, "start", problem.start))
-        )
-    return problem.changed(start=frozen(start))
-
-
-def _off_manifold(
-    problem: PlanningProblem, goals: np.ndarray, label: str, q: np.ndarray
-) -> tuple[str, str]:
-    """Return the violated bound and a suggested fix.
-
-    Args:
-        problem: its constraint.
-        goals: all goals (k, n); if they are drawn from a region and none satisfies the constraint,
-            the region is blamed.
-        label: name of the start or goal.
-        q: its configuration (n,) [rad or m].
-    """
-    from cvqmpt_lab.constraints.no_goal import contradiction, other_axis  # for errors alone
-
-    states, broken = q[None], f"{label} breaks"
-    cure = "`cvqmpt ik` finds configurations that keep the constraint"
-    if label == "start":
-        cure += ", --project-start moves this one onto it"
-        for k, region in enumerate(problem.constraint):
-            if not isinstance(region, TaskSpaceRegion):
-                continue
-            if axis := other_axis(region, problem.robot.pose(q, region.end_effector)):
-                cure = f"{axis} in constraint[{k}], or choose another start"
-    if label != "start" and problem.goal_region is not None:
-        residuals = np.linalg.norm(problem.manifold.residual(goals), axis=1)
-        if residuals.min() > PROJECTION_TOLERANCE:
-            states, broken = (
-                goals,
-                f"'goal_region' leaves the constraint: the best of {len(goals)} goals in it breaks",
-            )
-            cure = "move or turn the region, or widen the bound"
-    bounds = [
-        broken_bound(region, displacements(problem.robot, region, states))
-        for region in problem.regions
-    ] + [
-        function.describe()
-        for function in problem.manifold.functions
-        if np.linalg.norm(function.residual(states), axis=1).min() > PROJECTION_TOLERANCE
+    if not any(item.also_held_by for item in attachments):
+        return attachments
+    ties = [
+        {row for row, _ in region.links(robot)}
+        for region in regions
+        if isinstance(region, TaskSpaceRegionChain) and _has_little_play(region)
     ]
-    if against := contradiction(problem.robot, problem.constraint):
-        cure = f"{against}; move, widen or leave out a region"
-    off = np.linalg.norm(problem.manifold.residual(states), axis=1).min()
-    violated = ", ".join(filter(None, bounds)) or "the constraint by rounding"
-    return f"{broken} {violated}, |F| = {off:.3g}", cure
+
+    def held(item: Attachment) -> Attachment:
+        tied = {robot.hand(item.end_effector)[0]}
+        for _ in ties:  # each round may lead one hand further
+            tied |= set().union(*(tie for tie in ties if tie & tied))
+        names = tuple(name for name in item.also_held_by if robot.hand(name)[0] in tied)
+        return replace(item, also_held_by=names)
+
+    return tuple(map(held, attachments))
+
+
+def _has_little_play(region: TaskSpaceRegion) -> bool:
+    """Return whether positions, and two rotations or the tilt, have close bounds."""
+    widths = region.bounds[:, 1] - region.bounds[:, 0]
+    turns = (widths[3:6] <= 0.2).sum() >= 2 or widths[6] <= 0.2
+    return bool((widths[:3] <= 0.02).all() and turns)

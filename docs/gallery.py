@@ -38,6 +38,8 @@ def main() -> None:
         title, _, details = docstring.partition("\n")
         title, details, code = title.rstrip("."), details.strip(), code.strip()
         picture = DOCS / "gallery" / f"{program.stem}.png"
+        if "planned" in names:
+            names["solution"] = names["planned"].solution
         shown = next((names[name] for name in DRAWN if name in names), None)
         printed = said.getvalue().strip()
         parts += [f"## {title}\n", *([f"{details}\n"] if details else [])]

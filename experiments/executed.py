@@ -11,7 +11,6 @@ from functools import partial
 from cvqmpt_lab.benchmarks.item import ExecutedProblem
 from cvqmpt_lab.benchmarks.results.row import FailReason, ResultRow
 from cvqmpt_lab.experiments.experiment import Run
-from cvqmpt_lab.features.motion.motion_check import certified_motion
 from cvqmpt_lab.features.motion.timing import TimingSettings
 from cvqmpt_lab.features.physics.execute import (
     CONTACT_TIMES_S,
@@ -22,9 +21,10 @@ from cvqmpt_lab.features.physics.execute import (
     execute_task,
 )
 from cvqmpt_lab.features.physics.simulation import mujoco_module
+from cvqmpt_lab.features.plan import Request, plan
 from cvqmpt_lab.features.tasks.solve import solve_task
 from cvqmpt_lab.features.tasks.task import Task
-from cvqmpt_lab.planning.margins import Margin, solve_with_margin
+from cvqmpt_lab.planning.margins import Margin
 
 Execute = Callable[[str, float], Execution]  # arguments: controller, contact time [s]
 
@@ -69,13 +69,13 @@ def _planned(run: Run, item: ExecutedProblem) -> Execute | str:
             margin=Margin(),
         )
         return partial(execute_task, task) if task.solved else f"not planned: {task.failure}"
-    solution, _ = solve_with_margin(
-        problem, run.method, setup.budget, run.seed, Margin(), backend=setup.backend
+    request = Request(
+        run.method, setup.budget, run.seed, Margin(), timing=timing, backend=setup.backend
     )
-    if not solution.solved or solution.path is None:
-        return f"not planned: {solution.status}"
-    motion = certified_motion(solution.problem, solution.path, timing)
-    return partial(execute_motion, problem, motion)
+    planned = plan(problem, request)
+    if planned.motion is None:
+        return f"not planned: {planned.solution.status}"
+    return partial(execute_motion, problem, planned.motion)
 
 
 def measures_of(executions: Sequence[Execution]) -> dict[str, float | None]:

@@ -23,7 +23,7 @@ from cvqmpt_lab.benchmarks.suite import folder_suite, suite_named
 from cvqmpt_lab.experiments.experiment import Experiment
 from cvqmpt_lab.experiments.run import executor_for, result_row, run_experiment
 from cvqmpt_lab.paper_tables.statements import PUBLISHED
-from cvqmpt_lab.planners import declared
+from cvqmpt_lab.planning.by_name import declared
 from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.planning.planners import planner_named
 from cvqmpt_lab.problem import PlanningProblem

@@ -24,7 +24,7 @@ from cvqmpt_lab.paper_tables.quoted import Quoted, what_to_use
 from cvqmpt_lab.paper_tables.rendering import rendered_tables
 from cvqmpt_lab.paper_tables.statements import PUBLISHED
 from cvqmpt_lab.paper_tables.table_engine import by_planner
-from cvqmpt_lab.planners import declared
+from cvqmpt_lab.planning.by_name import declared
 
 RESULTS = PUBLISHED.parent / "results"
 README = PUBLISHED.parent.parent / "README.md"

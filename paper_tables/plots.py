@@ -26,7 +26,7 @@ from cvqmpt_lab.paper_tables.measures import (
     time_at,
 )
 from cvqmpt_lab.paper_tables.rule import Word
-from cvqmpt_lab.planners import declared
+from cvqmpt_lab.planning.by_name import declared
 
 Groups = Mapping[str, Sequence[ResultRow]]  # rows by planner
 STYLE: Any = {

@@ -8,7 +8,7 @@ from small_arms import beside_a_half_turn, carried, gantry, pendulum, problem_of
 
 from cvqmpt_lab.certificate.certificate import Verdict, certify
 from cvqmpt_lab.features.motion.motion_check import dry_run
-from cvqmpt_lab.features.motion.record import record, report_lines
+from cvqmpt_lab.features.motion.record import record, report_of
 from cvqmpt_lab.features.motion.trajectory import Motion
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.search.result import JointPath
@@ -25,7 +25,7 @@ def lines(problem, states):
     """The certificate's report."""
     motion = Motion(problem.robot.joint_names, states)
     found = dry_run(problem, motion)
-    return "\n".join(report_lines(found, record(problem, motion, found)))
+    return str(report_of(found, record(problem, motion, found)))
 
 
 def rods(hands):
@@ -173,7 +173,7 @@ def test_jerk_of_exact_cubics_is_judged(tmp_path, jerk, ends, stated, kinds):
     assert [str(fault.kind) for fault in found.certificate.faults] == kinds
     contents = record(problem, motion, found)
     assert contents["jerk"].startswith("judged" if stated else "not judged: without accel")
-    said = "jerk        not judged" in "\n".join(report_lines(found, contents))
+    said = "jerk        not judged" in str(report_of(found, contents))
     assert said == (not stated)
     if stated and jerk:
         jumps = replace(motion, accelerations=motion.accelerations.copy())

@@ -1,6 +1,5 @@
 """Margins of planning, and the deviations that a certificate reports as tolerated."""
 
-import inspect
 from dataclasses import replace
 
 import numpy as np
@@ -12,14 +11,14 @@ from cvqmpt_lab.certificate.between_states import least_slack
 from cvqmpt_lab.certificate.certificate import certify
 from cvqmpt_lab.cli.problem_options import MARGIN
 from cvqmpt_lab.constraints.goals import goals_of
-from cvqmpt_lab.constraints.report import displacements, excess
+from cvqmpt_lab.constraints.task_space_region import displacements, excess
+from cvqmpt_lab.features.plan import Request, plan
 from cvqmpt_lab.features.tasks.solve import solve_task
 from cvqmpt_lab.planning.margins import (
     NO_MARGIN,
     Kept,
     Margin,
     kept_by,
-    solve_with_margin,
     with_margin,
 )
 from cvqmpt_lab.planning.pipeline import solve
@@ -29,15 +28,20 @@ from cvqmpt_lab.scene.shapes import Sphere
 from cvqmpt_lab.search.result import Budget, JointPath
 
 
+def with_margin_of(problem, *settings, **more):
+    """Return the solution of a plan, and its margin in words."""
+    planned = plan(problem, Request("birrt", *settings, **more))
+    return planned.solution, str(planned.margin)
+
+
 @pytest.fixture(scope="module")
 def inside(problem):
     """Return a solution of `problem` with the default margin, and its report."""
-    return solve_with_margin(problem, "birrt", Budget(iterations=20_000), 0, exact_clearance=True)
+    return with_margin_of(problem, Budget(iterations=20_000), exact_clearance=True)
 
 
 def test_library_and_command_have_one_default_margin():
-    default = MARGIN["--margin"]["default"]
-    assert inspect.signature(solve_with_margin).parameters["margin"].default == default
+    assert Request().margin == MARGIN["--margin"]["default"]
 
 
 def test_the_log_of_a_plan_has_the_time_of_its_goals(problem, caplog):
@@ -138,13 +142,13 @@ def test_straight_ends_keep_what_the_whole_path_keeps(beside_a_ball):
 
 def test_without_a_path_inside_it_is_planned_without(problem):
     # one iteration finds no path, with a margin or without; the second run has no margin
-    solution, text = solve_with_margin(problem, "birrt", Budget(iterations=2), 0, Margin())
+    solution, text = with_margin_of(problem, Budget(iterations=2), 0, Margin())
     assert text.startswith("none of 2 mm, 0.005 rad: no path with this margin")
     assert solution.problem.clearance == problem.clearance
 
 
 def test_no_margin_is_the_plain_solution(problem, solution):
-    again, text = solve_with_margin(problem, "birrt", Budget(iterations=20_000), 0, NO_MARGIN)
+    again, text = with_margin_of(problem, Budget(iterations=20_000), 0, NO_MARGIN)
     assert text == "none requested"
     assert np.array_equal(again.path.states, solution.path.states)
 
@@ -152,7 +156,7 @@ def test_no_margin_is_the_plain_solution(problem, solution):
 def test_the_status_of_a_path_that_is_refused_is_the_verdict(problem, solution):
     straight = JointPath(np.linspace(problem.start, solution.path.states[-1], 50))
     refused = replace(solution, certificate=certify(problem, straight))
-    said = refused.report()
+    said = refused.report().lines
     assert "status      refused by the certificate" in said and refused.status == "refused"
     assert any(line.startswith("certificate not certified: ") for line in said)
 
@@ -169,9 +173,7 @@ def test_goals_are_left_out_with_the_bounds_of_the_problem(tmp_path):
     bound = {"fixed-orientation": {"rpy": [0.0, 0.0, 0.0], "tolerance": 0.3}}
     problem = problem_of(tmp_path, gantry(), states, ("wrist",), constraint=[bound])
     goals = np.array([[0.5, 0.1], [0.5, 0.298], [0.5, 0.5]])
-    found, kept = solve_with_margin(
-        problem.changed(goals=goals), "birrt", Budget(iterations=100), 0
-    )
+    found, kept = with_margin_of(problem.changed(goals=goals), Budget(iterations=100))
     near, outside = found.left_out
     assert found.solved and kept == "2 mm, 0.005 rad"
     assert near == "goal 1 keeps less than the margin, 2 mm, 0.005 rad"
@@ -183,6 +185,6 @@ def test_the_margin_names_functions_to_which_none_is_kept(tmp_path):
     states = np.array([[0.0, 0.0], [0.5, 0.1]])
     bound = {"joint-coupling": {"factors": {"left_turn": 1.0}, "lower": -1.0, "upper": 0.3}}
     problem = problem_of(tmp_path, gantry(), states, ("wrist",), constraint=[bound])
-    found, kept = solve_with_margin(problem, "birrt", Budget(iterations=100), 0)
+    found, kept = with_margin_of(problem, Budget(iterations=100), 0)
     assert found.solved
     assert kept == "2 mm, 0.005 rad; none to the bounds of left_turn from -1 to 0.3"

@@ -7,8 +7,8 @@ import pytest
 from refusals import refused
 
 from cvqmpt_lab.benchmarks.place_task import door_problem, place_problem
-from cvqmpt_lab.planners import declared
 from cvqmpt_lab.planning import warm_up
+from cvqmpt_lab.planning.by_name import declared
 from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.planning.planners import PLANNERS, planner_named
 from cvqmpt_lab.problem import PlanningProblem

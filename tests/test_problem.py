@@ -17,7 +17,8 @@ from cvqmpt_lab.collision.arrays import robot_arrays, robot_swing, scene_arrays
 from cvqmpt_lab.constraints.joint_coupling import JointCoupling
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, upright
 from cvqmpt_lab.planning.pipeline import with_drawn_goals
-from cvqmpt_lab.problem import PlanningProblem, check_problem, usable_goals
+from cvqmpt_lab.planning.usable import check_problem, usable_goals, why_no_goal
+from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import group_states, robot_from_source
 from cvqmpt_lab.scene.cells import map_of_points
 from cvqmpt_lab.scene.scene import Scene, SceneObject
@@ -60,7 +61,7 @@ def test_the_reasons_why_there_is_no_goal_are_named(problem):
 
     def why(T, **changes):
         region = TaskSpaceRegion(T, np.eye(4), np.zeros((6, 2)))
-        return replace(problem, goals=np.empty((0, 7)), goal_region=region, **changes).why_no_goal()
+        return why_no_goal(replace(problem, goals=np.empty((0, 7)), goal_region=region, **changes))
 
     told = r"they lie 3.\d\d m or more from panda_joint1, the hand reaches 0.86 m"
     assert re.fullmatch(told, why(pose((3, 0, 0)) @ at_goal))

@@ -1,7 +1,13 @@
-"""Import of modules of the user, also from the folder in which the command was started."""
+"""Modules that are imported when they are needed: those of the user, and providers of parts.
+
+A file of a lower layer names a part, such as "exact checker". `cvqmpt_lab/__init__.py` states which
+files of higher layers provide it; they are imported when the part is first used.
+"""
 
 import importlib
 import sys
+from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -33,3 +39,28 @@ def imported(what: str, module: str) -> Any:
         raise InvalidInputError(f"{what}: {module} needs {error.name!r}; install it") from error
     except BaseException as error:
         raise InvalidInputError(f"{what}: importing {module} raises {described(error)}") from error
+
+
+_ADDRESSES: dict[str, tuple[str, ...]] = {}  # of providers, by part
+
+
+def provide(addresses: Mapping[str, tuple[str, ...]]) -> None:
+    """State who provides parts: addresses ``module`` or ``module:function`` by part."""
+    _ADDRESSES.update(addresses)
+
+
+@cache
+def providers(part: str) -> tuple[Any, ...]:
+    """Import and return the modules or functions that provide a part."""
+    found = []
+    for address in _ADDRESSES[part]:
+        module, _, function = address.partition(":")
+        loaded = importlib.import_module(module)
+        found.append(getattr(loaded, function) if function else loaded)
+    return tuple(found)
+
+
+def provider(part: str) -> Any:
+    """Import and return the only provider of a part."""
+    (only,) = providers(part)
+    return only

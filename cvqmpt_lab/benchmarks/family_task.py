@@ -23,6 +23,7 @@ from cvqmpt_lab.benchmarks.place_task import (
     place_problem,
 )
 from cvqmpt_lab.benchmarks.results.row import phase_problem
+from cvqmpt_lab.collision.exact import checker_of, shared_checker
 from cvqmpt_lab.constraints.by_name.line import line
 from cvqmpt_lab.constraints.by_name.plane import plane
 from cvqmpt_lab.constraints.goals import (
@@ -32,7 +33,7 @@ from cvqmpt_lab.constraints.goals import (
     sample_region,
 )
 from cvqmpt_lab.constraints.task_space_region import FREE, TaskSpaceRegion, upright_box
-from cvqmpt_lab.problem import PlanningProblem, shared_checker
+from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import panda, robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Attachment, Scene
@@ -148,7 +149,7 @@ def blocked_pair(
     states = problem.robot.random_configurations(rng, draws)
     states = states[[space.project(q) for q in states]]
     states = states[space.valid_batch(states)]
-    checker = problem.collision_checker(clear)
+    checker = checker_of(problem, clear)
     for _ in range(tries if len(states) > 1 else 0):
         start, goal = states[rng.choice(len(states), 2, replace=False)]
         if np.linalg.norm(goal - start) < apart or motion_free(space.arrays, start, goal):
@@ -364,7 +365,7 @@ def _posed(kind: str, number: int, name: str, rng: np.random.Generator) -> Plann
         name, robot, scene, middle, middle[None], (hand.region,), attachments=hand.attachments
     )
     if hand.start is not None:
-        checker = problem.collision_checker(SAMPLE_MARGIN_M)
+        checker = checker_of(problem, SAMPLE_MARGIN_M)
         start = next(
             iter(sample_region(robot, hand.start, checker, rng, count=1).configurations), None
         )

@@ -15,9 +15,10 @@ from cvqmpt_lab.base.poses import pose, rigid
 from cvqmpt_lab.benchmarks.item import UnsolvableProblem
 from cvqmpt_lab.benchmarks.place_task import problem_between, with_first_goal
 from cvqmpt_lab.benchmarks.results.row import phase_problem
+from cvqmpt_lab.collision.exact import shared_checker
 from cvqmpt_lab.constraints.goals import SAMPLE_MARGIN_M, sample_region
 from cvqmpt_lab.constraints.task_space_region import FREE, TaskSpaceRegion, symmetric_region
-from cvqmpt_lab.problem import PlanningProblem, shared_checker
+from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, Cylinder

@@ -13,11 +13,12 @@ from cvqmpt_lab.benchmarks.families import FAMILIES, family_scene
 from cvqmpt_lab.benchmarks.family_task import blocked_pair, trivial, within_reach
 from cvqmpt_lab.benchmarks.item import UnsolvableProblem
 from cvqmpt_lab.benchmarks.results.row import phase_problem
+from cvqmpt_lab.collision.exact import shared_checker
 from cvqmpt_lab.constraints.goals import MAX_GOALS, sample_goals
 from cvqmpt_lab.constraints.named import region
 from cvqmpt_lab.constraints.region_constraint import Member
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
-from cvqmpt_lab.problem import PlanningProblem, shared_checker
+from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.body_masses import BodyMasses
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.robot import Robot

@@ -32,6 +32,7 @@ from cvqmpt_lab.base.files import locked, make_folder, read_bytes, write_bytes, 
 from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.benchmarks.item import UnsolvableProblem
 from cvqmpt_lab.benchmarks.results.row import FailReason, phase_problem
+from cvqmpt_lab.collision.exact import checker_of
 from cvqmpt_lab.constraints.goals import SAMPLE_MARGIN_M, sample_region
 from cvqmpt_lab.constraints.named import upper_axis
 from cvqmpt_lab.constraints.region_constraint import RegionConstraint
@@ -225,7 +226,7 @@ def motion_bench_problem(index: int) -> PlanningProblem | UnsolvableProblem:
     problem = problem_of_texts(
         name, bench_robot(robot), f"{scenes}/{number_in_set}", scene, request
     )
-    checker = problem.collision_checker(0.0)
+    checker = checker_of(problem, 0.0)
     for end, kind, q in (
         ("start", FailReason.INVALID_START, problem.start),
         ("goal", FailReason.INVALID_GOAL, problem.goals[0]),
@@ -298,7 +299,7 @@ def level_problem(index: int, tilt: float = 0.1) -> PlanningProblem | Unsolvable
     found = motion_bench_problem(index)
     if isinstance(found, UnsolvableProblem):
         return found
-    robot, checker = found.robot, found.collision_checker(SAMPLE_MARGIN_M)
+    robot, checker = found.robot, checker_of(found, SAMPLE_MARGIN_M)
     axis = upper_axis(robot.pose(found.goals[0]))
     level, steady = upright(tilt, axis), upright(0.2 * tilt, axis)
     apart = RegionConstraint(robot, (level,))

@@ -35,7 +35,7 @@ from cvqmpt_lab.base.poses import pose, rigid
 from cvqmpt_lab.benchmarks.item import ExecutedProblem, Solvable, UnsolvableProblem
 from cvqmpt_lab.benchmarks.kitchen import kitchen
 from cvqmpt_lab.benchmarks.results.row import PAPER_PHASES, FailReason, phase_problem
-from cvqmpt_lab.collision.exact import CollisionChecker
+from cvqmpt_lab.collision.exact import CollisionChecker, shared_checker
 from cvqmpt_lab.constraints.goals import (
     SAMPLE_MARGIN_M,
     goals_in_any_posture,
@@ -52,7 +52,7 @@ from cvqmpt_lab.constraints.task_space_region import (
 )
 from cvqmpt_lab.features.tasks.task import Grasp, Hold, Move, Release, Slide, Task, Turn
 from cvqmpt_lab.features.tasks.world import World, phase_goals
-from cvqmpt_lab.problem import PlanningProblem, shared_checker
+from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import PANDA_FINGER_OPENING_M, panda, robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.articulation import take_out

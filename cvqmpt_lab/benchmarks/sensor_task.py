@@ -18,6 +18,7 @@ from cvqmpt_lab.benchmarks.family_task import upright_problem
 from cvqmpt_lab.benchmarks.item import SensedProblem, UnsolvableProblem
 from cvqmpt_lab.benchmarks.place_task import CAN, COUNTER_OBJECTS, place_kitchen
 from cvqmpt_lab.benchmarks.results.row import FailReason
+from cvqmpt_lab.collision.exact import checker_of
 from cvqmpt_lab.features.scan.depth import read_capture, write_view
 from cvqmpt_lab.features.scan.scan import Arm, MapSettings, ScanSettings, occupancy_map, scan
 from cvqmpt_lab.problem import PlanningProblem
@@ -96,7 +97,7 @@ def sensor_problem(number: int, padding: float = 0.0) -> SensedProblem | Unsolva
         except InvalidInputError as error:
             return UnsolvableProblem(truth.name, f"no map: {error}")
         seconds = time.perf_counter() - began
-    checker = problem.collision_checker()
+    checker = checker_of(problem)
     for label, q in problem.labelled_configurations():
         if checker.in_collision(q):
             kind = FailReason.INVALID_START if label == "start" else FailReason.INVALID_GOAL

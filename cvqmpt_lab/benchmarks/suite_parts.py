@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.base.files import Imported
-from cvqmpt_lab.planners import declared
+from cvqmpt_lab.planning.by_name import declared
 
 if TYPE_CHECKING:
     from cvqmpt_lab.benchmarks.item import Solvable, SuiteItem

@@ -9,8 +9,7 @@ from cvqmpt_lab.base.polyline import numbered_parts, parts_within, states_betwee
 from cvqmpt_lab.base.values import frozen
 from cvqmpt_lab.constraints.bounds_between import ROTATION_RATE, bound_between, longest_lever
 from cvqmpt_lab.constraints.constraint import Constraint
-from cvqmpt_lab.constraints.report import displaced, excess
-from cvqmpt_lab.constraints.task_space_region import UNITS, TaskSpaceRegion
+from cvqmpt_lab.constraints.task_space_region import UNITS, TaskSpaceRegion, displaced, excess
 from cvqmpt_lab.robot.joint_frames import poses_at_once
 from cvqmpt_lab.robot.robot import Robot
 

@@ -18,7 +18,7 @@ from cvqmpt_lab.certificate.between_states import (
 )
 from cvqmpt_lab.certificate.motion_proof import LeastDistance, prove_free
 from cvqmpt_lab.collision.carried import reach_with
-from cvqmpt_lab.collision.exact import CollisionChecker
+from cvqmpt_lab.collision.exact import CollisionChecker, checker_of
 from cvqmpt_lab.constraints.bounds_between import longest_lever
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegionChain
 from cvqmpt_lab.problem import PlanningProblem
@@ -174,7 +174,7 @@ def certify(
             this takes two to three times as long. Else the clearances are lower bounds, which
             the proof of the motion shows anyway.
     """
-    checker = checker or problem.collision_checker()
+    checker = checker or checker_of(problem)
     unusable = _unusable(problem, path.states)
     if unusable:
         return Certificate(unusable, np.nan, np.nan, np.nan, 0)

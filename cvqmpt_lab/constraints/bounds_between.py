@@ -3,8 +3,7 @@
 import numpy as np
 
 from cvqmpt_lab.base.poses import rotation_matrices
-from cvqmpt_lab.constraints.report import excess
-from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
+from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, excess
 from cvqmpt_lab.robot.robot import Robot
 
 # Bound on the second derivative of a rotation vector's entry per D^2, D = sum_j |dq_j|: |Jl^-1| is

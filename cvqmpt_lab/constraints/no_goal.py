@@ -24,8 +24,14 @@ from cvqmpt_lab.constraints.project import (
     projection_scratch,
 )
 from cvqmpt_lab.constraints.region_constraint import Member, RegionConstraint, regions_of
-from cvqmpt_lab.constraints.report import broken_bound, displaced, displacements
-from cvqmpt_lab.constraints.task_space_region import FREE, TaskSpaceRegion, TaskSpaceRegionChain
+from cvqmpt_lab.constraints.report import broken_bound
+from cvqmpt_lab.constraints.task_space_region import (
+    FREE,
+    TaskSpaceRegion,
+    TaskSpaceRegionChain,
+    displaced,
+    displacements,
+)
 from cvqmpt_lab.robot.robot import Robot
 
 

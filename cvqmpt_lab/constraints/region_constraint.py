@@ -17,8 +17,7 @@ from cvqmpt_lab.constraints.project import (
     projection_scratch,
 )
 from cvqmpt_lab.constraints.regions import Regions, batch_residual_and_jacobian, no_regions
-from cvqmpt_lab.constraints.report import bounds_text, displacements
-from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
+from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, bounds_text, displacements
 from cvqmpt_lab.robot.robot import Robot
 
 

@@ -5,9 +5,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cvqmpt_lab.base.poses import rotation_matrices, rotation_vectors, tilts
+from cvqmpt_lab.base.poses import rotation_matrices
 from cvqmpt_lab.constraints.project import PROJECTION_TOLERANCE
-from cvqmpt_lab.constraints.task_space_region import ROWS, UNITS, TaskSpaceRegion
+from cvqmpt_lab.constraints.task_space_region import (
+    ROWS,
+    UNITS,
+    TaskSpaceRegion,
+    displacements,
+    excess,
+    shown_lower,
+)
 from cvqmpt_lab.robot.robot import Robot
 
 
@@ -39,25 +46,6 @@ class BoundUse:
         return f"{ROWS[self.row]} {self.value:.3g} of {lower:.3g} to {self.upper:.3g} {self.unit}"
 
 
-def shown_lower(row: int, lower: float) -> float:
-    """Return the lower bound of a row of `bounds` as it is shown: rows from 6 are not negative."""
-    return max(lower, 0.0) if row >= 6 else lower
-
-
-def bounds_text(regions: Sequence[TaskSpaceRegion]) -> str:
-    """Return bounds in words: "rotation about y -0.1 to 0.1 rad, ..."; ";" between regions."""
-    texts = []
-    for region in regions:
-        bounds = [(row, *region.bounds[row]) for row in region.bounded_rows]
-        texts.append(
-            ", ".join(
-                f"{ROWS[k]} {shown_lower(k, low):g} to {high:g} {UNITS[k]}"
-                for k, low, high in bounds
-            )
-        )
-    return "; ".join(texts) or "none"
-
-
 def bound_usage(
     robot: Robot, regions: Sequence[TaskSpaceRegion], states: np.ndarray
 ) -> tuple[BoundUse, ...]:
@@ -70,35 +58,6 @@ def bound_usage(
             bounds = map(float, region.bounds[row])
             uses.append(BoundUse(k, row, float(x[worst[row], row]), *bounds))
     return tuple(uses)
-
-
-def displacements(robot: Robot, region: TaskSpaceRegion, states: np.ndarray) -> np.ndarray:
-    """Return displacements x (m, 10) of frame e at states (m, n), see `bounds` [m, rad]."""
-    poses = robot.poses(states, region.end_effector)
-    return displaced(region, poses, region.reference_poses(robot, states))
-
-
-def displaced(region: TaskSpaceRegion, poses: np.ndarray, references: np.ndarray) -> np.ndarray:
-    """Return displacements (m, 10): x of T = (T0_w)^-1 T0_e (Tw_e)^-1, see `TaskSpaceRegion`.
-
-    Args:
-        region: the region.
-        poses: T0_e (m, 4, 4) of frame e [m].
-        references: T0_w (1 or m, 4, 4) of the region's frame [m].
-    """
-    T = np.linalg.inv(references) @ poses @ np.linalg.inv(region.Tw_e)
-    R, t = T[:, :3, :3], T[:, :3, 3]
-    radius, axis = np.hypot(t[:, 0], t[:, 1]), R[:, :, 2]
-    off_axis = np.linalg.norm(np.cross(t, axis), axis=1)
-    places = np.hypot(radius, t[:, 2]), radius, np.arctan2(off_axis, -(t * axis).sum(axis=1))
-    return np.column_stack([t, rotation_vectors(R), tilts(R), *places])
-
-
-def excess(region: TaskSpaceRegion, x: np.ndarray) -> np.ndarray:
-    """Return max(lower - x, x - upper) of displacements x (m, 10), negative inside; -inf: free."""
-    lower, upper = region.bounds.T
-    bounded = np.isin(np.arange(len(ROWS)), region.bounded_rows)
-    return np.where(bounded, np.maximum(lower - x, x - upper), -np.inf)
 
 
 def broken_bound(region: TaskSpaceRegion, x: np.ndarray) -> str:

@@ -1,21 +1,21 @@
 """Planning with a margin for tracking error: to obstacles, and to the bounds of the constraint."""
 
+from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, NamedTuple, Self
+from typing import NamedTuple, Self
 
 import numpy as np
 
 from cvqmpt_lab.base.errors import InvalidInputError, InvalidProblemError, few
 from cvqmpt_lab.certificate.certificate import certify, deviation_tolerated
+from cvqmpt_lab.collision.exact import checker_of
 from cvqmpt_lab.constraints.goals import Goals, goals_of
 from cvqmpt_lab.constraints.project import PROJECTION_TOLERANCE
-from cvqmpt_lab.constraints.report import displacements, excess
-from cvqmpt_lab.constraints.task_space_region import UNITS, TaskSpaceRegion
-from cvqmpt_lab.planning.pipeline import solve
+from cvqmpt_lab.constraints.task_space_region import UNITS, TaskSpaceRegion, displacements, excess
 from cvqmpt_lab.planning.solution import Solution
-from cvqmpt_lab.problem import PlanningProblem, usable_goals
-from cvqmpt_lab.search.method import Method
-from cvqmpt_lab.search.result import Budget, JointPath
+from cvqmpt_lab.planning.usable import usable_goals
+from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.search.result import JointPath
 
 
 class Margin(NamedTuple):
@@ -71,7 +71,7 @@ def with_margin(
         The tighter problem, the margin used, and the reason if it is smaller.
     """
     reasons, clearances, slacks = [], [], []
-    checker = problem.collision_checker()
+    checker = checker_of(problem)
     for name, states in (("start", problem.start[None]), ("best goal", goals)):
         # distance to obstacles [m] and slack in bounds [rad, m] of the best state
         found = (checker.nearest_obstacle(q) for q in states)
@@ -108,65 +108,40 @@ def _slack(problem: PlanningProblem, states: np.ndarray) -> tuple[float, float]:
     return radians, metres
 
 
-def solve_with_margin(
-    problem: PlanningProblem,
-    method: Method | str,
-    budget: Budget,
-    seed: int,
-    margin: Margin = Margin(),  # noqa: B008
-    **options: Any,
-) -> tuple[Solution, str]:
+Solve = Callable[[PlanningProblem, Goals | None, float], Solution]
+"""Solves a problem, given its goals (None: they are drawn) and the share of the budget to use."""
+
+
+def keep_margin(problem: PlanningProblem, margin: Margin, solve: Solve) -> tuple[Solution, Kept]:
     """Solve a problem with a margin; if there is no path, solve it without.
 
     Each of the two runs has half of the budget.
 
     Args:
         problem: the problem.
-        method: a planner or its name.
-        budget: budget of both runs.
-        seed: seed of random numbers.
-        margin: for tracking error; `cvqmpt plan` has the same default.
-        **options: more arguments of `solve`.
+        margin: for tracking error.
+        solve: one run, `pipeline.solve` with its settings.
 
     Returns:
         The solution; a tolerated deviation in its certificate is with respect to the given problem.
-        And the margin used, with the reason if it is smaller, in words.
+        And the margin that it keeps.
     """
-    solution, kept = solve_keeping(problem, method, budget, seed, margin, **options)
-    return solution, str(kept)
-
-
-def solve_keeping(
-    problem: PlanningProblem,
-    method: Method | str,
-    budget: Budget,
-    seed: int,
-    margin: Margin,
-    **options: Any,
-) -> tuple[Solution, Kept]:
-    """Return the solution as `solve_with_margin`, and the margin as numbers.
-
-    Args: see `solve_with_margin`.
-    """
-    margin.check()
-    if margin == NO_MARGIN:
-        return solve(problem, method, budget, seed, **options), Kept(None, margin)
-    goals: Goals = options.pop("goals", None) or goals_of(problem)
+    if margin.check() == NO_MARGIN:
+        return solve(problem, None, 1.0), Kept(None, margin)
+    goals = goals_of(problem)
     if len(goals.configurations) == 0:
-        plain = solve(problem, method, budget, seed, goals=goals, **options)
-        return plain, Kept(None, margin, "no goal")
+        return solve(problem, goals, 1.0), Kept(None, margin, "no goal")
     inner, used, why = with_margin(problem, goals.configurations, margin)
     found: Solution | None = None
     try:
-        found = solve(inner, method, budget.share(0.5), seed, goals=goals, **options)
+        found = solve(inner, goals, 0.5)
     except InvalidProblemError as error:
         why = "; ".join(filter(None, (why, str(error))))
     if found is None or not found.solved:
         if found is not None:
             status = found.status.replace("_", " ")
             why = "; ".join(filter(None, (why, f"no path with this margin: {status}")))
-        plain = solve(problem, method, budget.share(0.5), seed, goals=goals, **options)
-        return plain, Kept(None, margin, why)
+        return solve(problem, goals, 0.5), Kept(None, margin, why)
     assert found.certificate is not None and found.path is not None
     tolerated = found.certificate.tolerated
     if tolerated is not None:

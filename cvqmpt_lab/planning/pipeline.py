@@ -16,7 +16,8 @@ from cvqmpt_lab.certificate.certificate import Certificate, certify
 from cvqmpt_lab.constraints.goals import Goals, goals_of
 from cvqmpt_lab.planning.planners import planner_named, require_fit
 from cvqmpt_lab.planning.solution import Solution
-from cvqmpt_lab.problem import PlanningProblem, check_problem, usable_goals
+from cvqmpt_lab.planning.usable import check_problem, usable_goals, why_no_goal
+from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.search.anytime import check_units, improve, restarted
 from cvqmpt_lab.search.birrt import BiRRT
 from cvqmpt_lab.search.method import Method
@@ -25,6 +26,7 @@ from cvqmpt_lab.search.planner_interface import (
     Observation,
     Proposal,
     Query,
+    SamplingDistribution,
     Search,
     Stages,
     search,
@@ -54,7 +56,7 @@ def solve(
 ) -> Solution:
     """Draw goals, observe, predict, update, search, shorten and certify a path.
 
-    It keeps no margin for tracking error; `solve_with_margin` keeps that of `cvqmpt plan`.
+    It keeps no margin for tracking error; `features.plan` keeps that of `cvqmpt plan`.
     If the certificate refuses the path, the search continues. All random numbers depend on seed and
     start. Calls from several threads run one after the other, because OMPL's random numbers, caches
     and the number of BLAS threads belong to the process. Several processes can plan in parallel.
@@ -80,10 +82,7 @@ def solve(
             constraint).
     """
     require_kind("problem", problem, PlanningProblem, PROBLEM_HINT)
-    Budget.require(budget)
-    if optimize is not None:
-        Budget.require(optimize, "optimize")
-        check_units(budget, optimize)
+    _check_budgets(budget, optimize)
     seed = whole_number("seed", seed)
     method = planner_named(method) if isinstance(method, str) else method
     require_kind("method", method, Method, "or the name of a planner")
@@ -94,7 +93,7 @@ def solve(
     goal_seconds = 0.0 if given else goals.seconds
     if len(goals.configurations) == 0:
         check_problem(problem)  # refuse a start that cannot be used
-        reason = f"no goal: {goals.outcome}; {problem.why_no_goal()}"
+        reason = f"no goal: {goals.outcome}; {why_no_goal(problem)}"
         return Solution(problem, no_plan(PlanStatus.NO_GOAL, reason), goal_seconds=goal_seconds)
     usable, left_out = usable_goals(problem, goals.configurations)
     goals = replace(goals, configurations=usable)
@@ -109,56 +108,92 @@ def solve(
     _log.info("%d goals in %.1f ms", len(usable), 1e3 * goals.seconds)
     _log.info("cloud of %s points", "no" if cloud is None else len(cloud))
     space = ConstrainedSpace.of(problem, backend, ends=np.vstack([problem.start, usable]))
-    rng = problem.random_stream(seed)
-
-    query = Query.of(space, problem.start, usable, budget, rng, seed)
-    tree_search = stages.search or BiRRT()
+    query = Query.of(space, problem.start, usable, budget, problem.random_stream(seed), seed)
     near = goals.near(problem.start)
     if near_goals_first and problem.robot.turning.any():
         near = max(near, NEAR_GOAL_COUNT)
-    attempts: list[_Attempt] = []
     observed = Observation(cloud, use_cache)
-    for attempt in _attempts(problem, query, stages, observed, tree_search, near, exact_clearance):
+    attempts: list[_Attempt] = []
+    for attempt in _attempts(problem, query, stages, observed, near, exact_clearance):
         attempts.append(attempt)
         if query.deadline.spent() is not None or attempt.certified:
             break
-    plan, proposal = attempts[-1].plan, attempts[-1].proposal
+    wall = time.perf_counter() - called - goal_seconds - observe_seconds
+    wall -= sum(attempt.certifying for attempt in attempts)
+    plan, best = _outcome(attempts, space)
+    found = Solution(
+        problem,
+        plan,
+        simplified=best.path,
+        certificate=best.certificate,
+        goal_seconds=goal_seconds,
+        observe_seconds=observe_seconds,
+        wall_seconds=wall,
+        distribution=_sampled(stages, attempts[-1].proposal),
+        left_out=left_out,
+        goals=usable,
+    )
+    if optimize is None or found.path is None or plan.as_is:
+        return found
+    query = Query.of(space, problem.start, usable, optimize, problem.random_stream(seed, 1))
+    return _improved(found, query, stages, attempts[-1].proposal, exact_clearance)
+
+
+def _sampled(stages: Stages, proposal: Proposal) -> SamplingDistribution | None:
+    """Return the distribution that a tree search sampled; None if it used none."""
+    sampled = isinstance(_search_of(stages), BiRRT)
+    sampled = sampled and proposal.path is None and not proposal.as_is
+    return proposal.distribution if sampled else None
+
+
+def _check_budgets(budget: Budget, optimize: Budget | None) -> None:
+    """Refuse what is no budget, and a budget for shorter paths in other units."""
+    Budget.require(budget)
+    if optimize is not None:
+        Budget.require(optimize, "optimize")
+        check_units(budget, optimize)
+
+
+def _search_of(stages: Stages) -> Search:
+    """Return the search of a planner."""
+    return stages.search or BiRRT()
+
+
+def _outcome(
+    attempts: Sequence["_Attempt"], space: ConstrainedSpace
+) -> tuple[PlanResult, "_Attempt"]:
+    """Return the result of all attempts, and the attempt whose path counts."""
     # the last attempt with a path: the search after it may have ended without one
     best = next((attempt for attempt in reversed(attempts) if attempt.path), attempts[-1])
-    shorter, certificate, improvement = best.path, best.certificate, None
-    plan = replace(plan, status=best.plan.status, path=best.plan.path)
-
+    plan = replace(attempts[-1].plan, status=best.plan.status, path=best.plan.path)
     if space.doubtful:
         several = len(space.doubtful) > 3
         ends = f"{len(space.doubtful)} ends" if several else ", ".join(space.doubtful)
         exact = f"exact checks near {ends}"
         plan = replace(plan, detail="; ".join(filter(None, (plan.detail, exact))))
-    sampled = isinstance(tree_search, BiRRT) and proposal.path is None and not proposal.as_is
-    wall = time.perf_counter() - called - goal_seconds - observe_seconds
-    wall -= sum(attempt.certifying for attempt in attempts)
-    if shorter is not None and optimize is not None and not plan.as_is:
-        rng = problem.random_stream(seed, 1)
-        paths = stages.path_source or partial(restarted, tree_search, proposal.distribution)
-        better_query = Query.of(space, problem.start, usable, optimize, rng)
-        shortest, improvement = improve(better_query, paths, shorter.path)
-        better = certify(problem, shortest, exact_clearance=exact_clearance)
-        if better.valid:
-            shorter, certificate = replace(shorter, path=shortest), better
-        else:
-            improvement = replace(improvement, lengths=improvement.lengths[:1])
-    return Solution(
-        problem,
-        plan,
-        simplified=shorter,
-        certificate=certificate,
-        goal_seconds=goal_seconds,
-        observe_seconds=observe_seconds,
-        wall_seconds=wall,
-        improvement=improvement,
-        distribution=proposal.distribution if sampled else None,
-        left_out=left_out,
-        goals=usable,
-    )
+    return plan, best
+
+
+def _improved(
+    found: Solution, query: Query, stages: Stages, proposal: Proposal, exact_clearance: bool
+) -> Solution:
+    """Return a solution with a shorter path, if one is found and certified.
+
+    Args:
+        found: the solution; it has a path.
+        query: start, goals, and the budget for shorter paths.
+        stages: stages of the planner.
+        proposal: what it predicted for the first path.
+        exact_clearance: as in `solve`.
+    """
+    assert found.simplified is not None
+    paths = stages.path_source or partial(restarted, _search_of(stages), proposal.distribution)
+    shortest, improvement = improve(query, paths, found.simplified.path)
+    better = certify(found.problem, shortest, exact_clearance=exact_clearance)
+    if not better.valid:
+        return replace(found, improvement=replace(improvement, lengths=improvement.lengths[:1]))
+    shorter = replace(found.simplified, path=shortest)
+    return replace(found, simplified=shorter, certificate=better, improvement=improvement)
 
 
 def _start_is_goal(
@@ -212,7 +247,6 @@ def _attempts(
     query: Query,
     stages: Stages,
     observed: Observation,
-    tree_search: Search,
     near: int,
     exact_clearance: bool,
 ) -> Iterator[_Attempt]:
@@ -223,11 +257,11 @@ def _attempts(
         query: start, goals and budget.
         stages: stages of the planner.
         observed: sensor data.
-        tree_search: the search of the planner.
         near: number of nearest goals that are searched first.
         exact_clearance: as in `solve`.
     """
     space, plan, ranking = query.space, None, Timings()
+    tree_search = _search_of(stages)
     if stages.goals_apart and stages.rank_goals is not None:
         goals, ranking = stages.rank_goals(query, observed)
         query = replace(query, goals=goals)

@@ -9,7 +9,7 @@ from importlib import import_module
 from cvqmpt_lab.base.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegionChain
 from cvqmpt_lab.external.names import entry_point_names, is_external, refuse_clash
-from cvqmpt_lab.planners import declared
+from cvqmpt_lab.planning.by_name import declared
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.search.birrt import BiRRT
 from cvqmpt_lab.search.cell_trees import CellSearch

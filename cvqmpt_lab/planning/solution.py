@@ -1,11 +1,12 @@
-"""The solution of a planning problem, its report for people, and its data for json."""
+"""The solution of a planning problem, and its report."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
 
+from cvqmpt_lab.base.reports import Entry, Report
 from cvqmpt_lab.base.values import bound_text
 from cvqmpt_lab.certificate.certificate import Certificate
 from cvqmpt_lab.constraints.report import BoundUse, bound_usage
@@ -39,9 +40,8 @@ class Solution:
 
     def __repr__(self) -> str:
         outcome = self.verdict or "not solved"
-        brief = ("note", "status", "left out", "length", "certificate")
-        lines = [line for line in self.report() if line[:12].strip() in brief]
-        return "\n".join([f"Solution of {self.problem.name!r}: {outcome}", *lines])
+        brief = self.report().only("note", "status", "left out", "length", "certificate")
+        return "\n".join([f"Solution of {self.problem.name!r}: {outcome}", *brief.lines])
 
     @property
     def path(self) -> JointPath | None:
@@ -72,12 +72,19 @@ class Solution:
         states = self.problem.start[None] if self.path is None else self.path.states
         return bound_usage(self.problem.robot, self.problem.regions, states)
 
-    def report(self, planner: str = "", why: str = "") -> list[str]:
-        """Return the lines of the report for people; each begins with a label of 12 characters.
+    def report(
+        self,
+        planner: str = "",
+        why: str = "",
+        record: Callable[[], Mapping[str, Any] | None] = lambda: None,
+    ) -> Report:
+        """Return the report; its data have states and certificate.
 
         Args:
             planner: name of the planner.
             why: the reason if the planner was chosen by default.
+            record: makes the record of the certificate for the data, see
+                `features.motion.record.record_of`.
         """
         plan, shorter, counts = self.plan, self.simplified, self.plan.counters
         samples = f"samples: {plan.sampler}"
@@ -86,44 +93,50 @@ class Solution:
         if shorter is not None:
             times += f", simplify {1e3 * shorter.seconds:.1f} ms"
         lines = [
-            f"problem     {self.problem.name}: robot {self.problem.robot.name}, "
-            f"{len(self.goals)} goals",
-            *(f"note        {note}" for note in self.problem.notes),
+            (
+                "problem",
+                f"{self.problem.name}: robot {self.problem.robot.name}, {len(self.goals)} goals",
+            ),
+            *(("note", note) for note in self.problem.notes),
             *_left_out(self.left_out),
-            f"constraint  {_bounds(self)}",
+            ("constraint", _bounds(self)),
             *_functions(self.problem),
-            f"planner     {f'{chosen}, {samples}' if planner else samples}",
-            f"status      {_status(self)}",
-            f"time        {times}",
+            ("planner", f"{chosen}, {samples}" if planner else samples),
+            ("status", _status(self)),
+            ("time", times),
         ]
         if not plan.as_is:
             lines.append(
-                f"counts      {counts.projections} projections, {counts.newton_iterations} Newton "
-                f"iterations, {counts.state_checks} state checks, {plan.vertices} vertices"
+                (
+                    "counts",
+                    f"{counts.projections} projections, {counts.newton_iterations} Newton "
+                    f"iterations, {counts.state_checks} state checks, {plan.vertices} vertices",
+                )
             )
         if plan.path is not None and shorter is not None:
             lines.append(
-                f"length      {plan.path.length:.2f} rad, simplified {shorter.path.length:.2f} rad"
+                ("length", f"{plan.path.length:.2f} rad, simplified {shorter.path.length:.2f} rad")
             )
         if self.improvement is not None:
-            lines.append(f"optimize    {_gain(self.improvement)}")
+            lines.append(("optimize", _gain(self.improvement)))
         if self.certificate is not None:
             lines += _certificate(self.certificate)
-        return lines
+        return Report.of(lines, lambda: _data(self, planner, record(), why))
 
 
-def _functions(problem: PlanningProblem) -> list[str]:
+def _functions(problem: PlanningProblem) -> list[Entry]:
     """Return a line for each function of the user's own: how it is called, and its price."""
     prices = ((one, one.price(problem.start)) for one in problem.manifold.functions)
-    return [f"function    {one.describe()}: {price}" for one, price in prices if price]
+    return [("function", f"{one.describe()}: {price}") for one, price in prices if price]
 
 
-def _left_out(goals: Sequence[str], listed: int = 2) -> list[str]:
+def _left_out(goals: Sequence[str], listed: int = 2) -> list[Entry]:
     """Return lines for the first goals that were left out; the last one counts the others."""
-    lines = [f"left out    {text}" for text in goals[:listed]]
+    lines = [("left out", text) for text in goals[:listed]]
     more = len(goals) - listed
     if more > 0:
-        lines[-1] += f"; and {more} more"
+        label, text = lines[-1]
+        lines[-1] = label, f"{text}; and {more} more"
     return lines
 
 
@@ -168,7 +181,7 @@ def _gain(made: Improvement) -> str:
     return f"{used}: {made.searches} searches, {gain}"
 
 
-def _certificate(certificate: Certificate) -> list[str]:
+def _certificate(certificate: Certificate) -> list[Entry]:
     """Return the lines of a certificate: verdict, smallest distances, tolerated deviation."""
     verdict, proven = "certified", ", motion between them proven,"
     if certificate.constraint_gap:
@@ -176,11 +189,14 @@ def _certificate(certificate: Certificate) -> list[str]:
     if not certificate.valid:
         verdict, proven = f"not certified: {'; '.join(certificate.reasons)}", ","
     lines = [
-        f"certificate {verdict} ({certificate.states_checked} states{proven} clearance "
-        f"{_distances(certificate)})"
+        (
+            "certificate",
+            f"{verdict} ({certificate.states_checked} states{proven} clearance "
+            f"{_distances(certificate)})",
+        )
     ]
     if certificate.valid and certificate.tolerated:
-        lines.append(f"tolerates   {certificate.tolerated}")
+        lines.append(("tolerates", str(certificate.tolerated)))
     return lines
 
 
@@ -207,8 +223,8 @@ def _distances(certificate: Certificate, small: float = 0.002) -> str:
     return ", ".join(texts) or "from nothing: no pair to compare"
 
 
-def solution_data(
-    solution: Solution, planner: str, certificate: Mapping[str, Any] | None, why: str = ""
+def _data(
+    solution: Solution, planner: str, certificate: Mapping[str, Any] | None, why: str
 ) -> dict[str, Any]:
     """Return a solution as plain data for json, with states and certificate.
 

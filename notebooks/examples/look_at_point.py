@@ -4,12 +4,13 @@ from cvqmpt_lab import (
     Box,
     Budget,
     PlanningProblem,
+    Request,
     Scene,
     SceneObject,
+    plan,
     pose,
     region,
     robot_from_source,
-    solve_with_margin,
 )
 
 block = SceneObject("block", Box((0.1, 0.1, 0.1)), pose((0.5, 0.0, 0.05)))
@@ -21,5 +22,5 @@ problem = PlanningProblem(
     goal_region=region("pose", at={"xyz": [0.5, 0.3, 0.4], "rpy": [2.44, 0.0, 0.0]}, yaw=3.15),
     constraint=(region("look-at", point=[0.5, 0.0, 0.05], angle=0.2, distance=[0.3, 0.6]),),
 )
-solution, margin = solve_with_margin(problem, "birrt", Budget(seconds=10.0), seed=0)
-print(solution, f"margin      {margin}", sep="\n")
+planned = plan(problem, Request("birrt", Budget(seconds=10.0)))
+print(planned)

@@ -4,12 +4,13 @@ from cvqmpt_lab import (
     Box,
     Budget,
     PlanningProblem,
+    Request,
     Scene,
     SceneObject,
+    plan,
     pose,
     region,
     robot_from_source,
-    solve_with_margin,
 )
 
 import numpy as np
@@ -24,5 +25,5 @@ problem = PlanningProblem(
     goal_region=region("pose", at={"xyz": [0.4, 0.35, 0.3], "rpy": [np.pi, 0.0, 0.0]}),
     constraint=(region("upright", tilt=0.1, axis="-z"),),
 )
-solution, margin = solve_with_margin(problem, "roadmap", Budget(seconds=10.0), seed=0)
-print(solution, f"margin      {margin}", sep="\n")
+planned = plan(problem, Request("roadmap", Budget(seconds=10.0)))
+print(planned)

@@ -4,11 +4,12 @@ from cvqmpt_lab import (
     Budget,
     OccupancyMap,
     PlanningProblem,
+    Request,
     Scene,
     SceneObject,
+    plan,
     pose,
     robot_from_source,
-    solve_with_margin,
 )
 
 import numpy as np
@@ -24,5 +25,5 @@ problem = PlanningProblem(
     start=np.array([-0.9, 0.3, 0.0, -1.9, 0.0, 2.2, 0.8]),
     goals=np.array([[0.9, 0.3, 0.0, -1.9, 0.0, 2.2, 0.8]]),
 )
-solution, margin = solve_with_margin(problem, "roadmap", Budget(seconds=10.0), seed=0)
-print(solution, f"margin      {margin}", sep="\n")
+planned = plan(problem, Request("roadmap", Budget(seconds=10.0)))
+print(planned)

@@ -6,7 +6,8 @@ import pytest
 from cvqmpt_lab.benchmarks.declarations import SUITES
 from cvqmpt_lab.benchmarks.more_constraints import more_constraints_problem
 from cvqmpt_lab.planning.pipeline import solve
-from cvqmpt_lab.problem import PlanningProblem, check_problem
+from cvqmpt_lab.planning.usable import check_problem
+from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.search.result import Budget
 
 

@@ -27,7 +27,7 @@ from cvqmpt_lab.benchmarks.motion_bench import (
     unpack,
 )
 from cvqmpt_lab.planning.pipeline import solve
-from cvqmpt_lab.problem import check_problem
+from cvqmpt_lab.planning.usable import check_problem
 from cvqmpt_lab.search.result import Budget
 
 SCENE = """

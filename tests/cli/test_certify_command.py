@@ -16,7 +16,7 @@ from cvqmpt_lab.benchmarks.results.row import RUNS_FILE, read_rows, write_rows
 from cvqmpt_lab.benchmarks.results.store import PATHS_FILE, states_hash, stored_paths
 from cvqmpt_lab.certificate import between_states
 from cvqmpt_lab.cli.main import main
-from cvqmpt_lab.constraints.report import displacements
+from cvqmpt_lab.constraints.task_space_region import displacements
 from cvqmpt_lab.experiments.experiment import Experiment
 from cvqmpt_lab.experiments.run import executor_for, run_experiment
 from cvqmpt_lab.features.motion.motion_check import with_limits_of

@@ -8,7 +8,7 @@ import pytest
 from command_line import refused
 from jsonschema import Draft202012Validator
 
-from cvqmpt_lab.constraints.report import displacements
+from cvqmpt_lab.constraints.task_space_region import displacements
 from cvqmpt_lab.features.motion.trajectory import read_motion
 from cvqmpt_lab.features.tasks.task import PlannedPhase, Task
 from cvqmpt_lab.robot.load import robot_from_source

@@ -10,7 +10,8 @@ from refusals import refused
 
 from cvqmpt_lab.features.tasks.task import Task
 from cvqmpt_lab.planning.pipeline import with_drawn_goals
-from cvqmpt_lab.problem import PlanningProblem, check_problem
+from cvqmpt_lab.planning.usable import check_problem
+from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.source import read_source
 from cvqmpt_lab.search.space import ConstrainedSpace, direct_motion
 

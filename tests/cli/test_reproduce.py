@@ -14,7 +14,7 @@ from cvqmpt_lab.experiments import experiment
 from cvqmpt_lab.experiments.experiment import Experiment, parts_of
 from cvqmpt_lab.experiments.figures.paper import reproduce_figure
 from cvqmpt_lab.paper_tables.statements import CLAIMS
-from cvqmpt_lab.planners import declared
+from cvqmpt_lab.planning.by_name import declared
 from cvqmpt_lab.planning.planners import PLANNERS
 from cvqmpt_lab.search.result import Budget
 

@@ -13,7 +13,8 @@ from cvqmpt_lab.base.poses import Placement
 from cvqmpt_lab.constraints.named import NAMED_REGIONS
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, TaskSpaceRegionChain
 from cvqmpt_lab.features.tasks.task import PHASES, Task
-from cvqmpt_lab.problem import PlanningProblem, check_problem
+from cvqmpt_lab.planning.usable import check_problem
+from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import FrameLimit
 from cvqmpt_lab.robot.source import RobotSource
 from cvqmpt_lab.scene.scene import Articulation, Attachment, Scene, SceneObject

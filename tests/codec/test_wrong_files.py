@@ -8,7 +8,8 @@ from command_line import refused as refused_command
 from refusals import DATA, refused, table
 
 from cvqmpt_lab.benchmarks.two_arms import two_arms_problem
-from cvqmpt_lab.problem import PlanningProblem, check_problem
+from cvqmpt_lab.planning.usable import check_problem
+from cvqmpt_lab.problem import PlanningProblem
 
 TABLE = table("wrong_problems")  # column value: JSON; empty: the field is deleted
 READY = [0.0, -0.7, 0.0, -2.3, 0.0, 1.6, 0.8]

@@ -19,11 +19,13 @@ from cvqmpt_lab.constraints.by_name.relative_pose import relative_pose
 from cvqmpt_lab.constraints.named import Region
 from cvqmpt_lab.constraints.project import PROJECTION_TOLERANCE
 from cvqmpt_lab.constraints.region_constraint import RegionConstraint
-from cvqmpt_lab.constraints.report import bound_usage, displacements, excess
+from cvqmpt_lab.constraints.report import bound_usage
 from cvqmpt_lab.constraints.task_space_region import (
     FREE,
     TaskSpaceRegion,
     TaskSpaceRegionChain,
+    displacements,
+    excess,
     symmetric_region,
     upright,
     upright_box,

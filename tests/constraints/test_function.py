@@ -57,7 +57,7 @@ def test_every_planner_keeps_a_function(around_the_pole, name):
     found = solve(around_the_pole, name, Budget(seconds=30.0), seed=0)
     assert found.solved, found.report(name)
     assert np.abs(on_circle(found.path.spaced(0.01))).max() < 5e-4
-    said = "\n".join(found.report(name))
+    said = str(found.report(name))
     states = found.certificate.constraint_states
     assert f"constraint checked at {states} states, not proven between" in said and states > 100
     assert "not proven between" in found.verdict

@@ -8,7 +8,7 @@ from command_line import run, run_here
 from made_rows import differences
 
 from cvqmpt_lab.benchmarks.results.row import RUNS_FILE, read_rows
-from cvqmpt_lab.planners import declared
+from cvqmpt_lab.planning.by_name import declared
 from cvqmpt_lab.planning.planners import PLANNERS
 
 SOME = ("birrt", "ompl-projected", "mpnet", "cvq-mpt")

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 import trimesh
+from cvqmpt_lab.constraints.holding import really_held
 from judged_bodies import furthest, moved
 from random_arms import ARMS as RANDOM_ARMS
 from random_arms import random_urdf
@@ -21,7 +22,6 @@ from cvqmpt_lab.benchmarks.two_arms import CARRYING_LAYOUTS, hold
 from cvqmpt_lab.certificate.certificate import CERTIFICATE_TOLERANCE, certify
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.by_name.relative_pose import relative_pose
-from cvqmpt_lab.constraints.holding import really_held
 from cvqmpt_lab.constraints.region_constraint import RegionConstraint
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.planning.pipeline import solve

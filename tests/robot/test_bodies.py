@@ -9,7 +9,7 @@ from cvqmpt_lab.collision.carried import carried_pairs
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.region_constraint import RegionConstraint
 from cvqmpt_lab.features.motion.motion_check import DryRun
-from cvqmpt_lab.features.motion.record import record, report_lines
+from cvqmpt_lab.features.motion.record import record, report_of
 from cvqmpt_lab.features.motion.trajectory import Motion
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import load_robot, robot_from_source
@@ -50,7 +50,7 @@ def test_links_with_a_visual_and_no_collision_body_are_named_everywhere(edited):
     motion = Motion(robot.joint_names, path.states)
     contents = record(problem, motion, DryRun(certificate, path.states))
     assert contents["compared"]["links_without_body"] == ["elbow"]
-    lines = report_lines(DryRun(certificate, path.states), contents)
+    lines = report_of(DryRun(certificate, path.states), contents).lines
     assert f"note        {note}" in lines
     taken = load_robot(urdf, "tool", visual_as_collision=True)
     assert taken.notes == ["visual bodies are taken: elbow"] and taken.bodiless == ()

@@ -14,8 +14,7 @@ from cvqmpt_lab.collision.arrays import robot_swing
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.bounds_between import bound_between
 from cvqmpt_lab.constraints.region_constraint import RegionConstraint
-from cvqmpt_lab.constraints.report import displacements
-from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
+from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, displacements
 from cvqmpt_lab.features.physics.mjcf import mjcf_of
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.dynamics import Dynamics

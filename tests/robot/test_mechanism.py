@@ -22,7 +22,8 @@ from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.features.motion.timing import time_path
 from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.planning.planners import planner_named
-from cvqmpt_lab.problem import PlanningProblem, check_problem
+from cvqmpt_lab.planning.usable import check_problem
+from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.load import load_robot, robot_from_source
 from cvqmpt_lab.robot.mechanism import ArticulatedObject, with_articulated_object

@@ -204,7 +204,7 @@ def test_goals_of_a_distance_are_projections_of_random_configurations(problem):
     np.testing.assert_allclose(np.linalg.norm(off, axis=1), 0.3, atol=1e-4)
     far = distance((3.0, 4.0))
     failed = solve(replace(asked, goal_region=far), "birrt", Budget(iterations=1), seed=0)
-    assert "region: it cannot be kept: the best of" in "".join(failed.report("birrt"))
+    assert "region: it cannot be kept: the best of" in str(failed.report("birrt"))
 
 
 def test_goals_near_the_start_leave_room_for_other_postures(problem):

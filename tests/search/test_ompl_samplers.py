@@ -12,7 +12,7 @@ from refusals import refused
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.benchmarks.place_task import published_problem
 from cvqmpt_lab.constraints.region_constraint import RegionConstraint
-from cvqmpt_lab.constraints.report import displacements
+from cvqmpt_lab.constraints.task_space_region import displacements
 from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.search import ompl_planners
 from cvqmpt_lab.search.ompl_planners import OmplSearch, published_search, simplified_by_ompl

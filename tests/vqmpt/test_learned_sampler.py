@@ -10,7 +10,7 @@ import torch
 from cvqmpt_lab.benchmarks.place_task import TUNING_ENVIRONMENTS, place_problem
 from cvqmpt_lab.benchmarks.results.store import states_hash
 from cvqmpt_lab.certificate.certificate import certify
-from cvqmpt_lab.planners import declared
+from cvqmpt_lab.planning.by_name import declared
 from cvqmpt_lab.planning.pipeline import solve, with_drawn_goals
 from cvqmpt_lab.planning.planners import planner_named
 from cvqmpt_lab.search.method import Method

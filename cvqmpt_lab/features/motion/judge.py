@@ -7,6 +7,7 @@ import numpy as np
 
 from cvqmpt_lab.base.polyline import distances_along, states_at
 from cvqmpt_lab.certificate.certificate import Fault
+from cvqmpt_lab.collision.exact import checker_of
 from cvqmpt_lab.features.motion.limit_use import Ends
 from cvqmpt_lab.features.motion.motion_check import DryRun, dry_run, speed_within_limits
 from cvqmpt_lab.features.motion.trajectory import JointState, Motion
@@ -53,7 +54,7 @@ def clearance_along(
     problem: PlanningProblem, check: DryRun, count: int = 200
 ) -> Iterator[ClearanceAt]:
     """Yield the distances at `count` states, evenly in time, or along a path without times."""
-    checker, (moments, states) = problem.collision_checker(), evenly(check, count)
+    checker, (moments, states) = checker_of(problem), evenly(check, count)
     for moment, q in zip(moments.tolist(), states, strict=True):
         obstacle, own = checker.nearest_obstacle(q), checker.nearest_of_itself(q)
         pairs = (str(found.pair or "") for found in (obstacle, own))

@@ -18,6 +18,7 @@ from cvqmpt_lab.base.polyline import step_lengths
 from cvqmpt_lab.base.values import FULL_TURN_RAD
 from cvqmpt_lab.certificate.certificate import Certificate, Fault, FaultKind, certify
 from cvqmpt_lab.collision.carried import reach_with
+from cvqmpt_lab.collision.exact import checker_of
 from cvqmpt_lab.features.motion.frame_speeds import FrameSpeeds
 from cvqmpt_lab.features.motion.limit_use import (
     LIMIT_OVERSHOOT,
@@ -167,7 +168,7 @@ def dry_run(
             flat = CURVE_TOLERANCE - (gap if together else 0.0)
             times = straight_moments(curve, robot, flat)
             states = curve(times)
-            checker = problem.collision_checker(deviation_m)
+            checker = checker_of(problem, deviation_m)
             certificate = certify(problem, JointPath(states), checker, exact_clearance)
         uses, missing = _uses(problem, motion, name, curve)
         own = [*missing, *(use.fault(times) for use in uses if use.exceeded)]

@@ -12,6 +12,7 @@ import numpy as np
 
 from cvqmpt_lab.base.files import finite
 from cvqmpt_lab.base.polyline import distances_along
+from cvqmpt_lab.base.reports import Report
 from cvqmpt_lab.base.values import bound_text
 from cvqmpt_lab.certificate.certificate import (
     CERTIFICATE_TOLERANCE,
@@ -152,8 +153,8 @@ def _fields(value: Clearance | Deviation | None) -> dict[str, Any] | None:
     return None if value is None else value._asdict()
 
 
-def report_lines(found: DryRun, contents: dict[str, Any]) -> list[str]:
-    """Return a record as lines of text.
+def report_of(found: DryRun, contents: dict[str, Any]) -> Report:
+    """Return the report of a record.
 
     Args:
         found: the check from which the record was made.
@@ -166,19 +167,19 @@ def report_lines(found: DryRun, contents: dict[str, Any]) -> list[str]:
         what = f"trajectory of {np.ptp(found.times):.3f} s{share}, as {found.curve} pieces"
     states = "x".join(map(str, np.shape(found.states)))
     word = "certified" if certificate.valid else f"not certified: {certificate.verdict}"
-    lines = [f"certificate {word}; {what}, {states} states, problem {contents['problem']}"]
+    lines = [("certificate", f"{word}; {what}, {states} states, problem {contents['problem']}")]
     for fault in certificate.faults:
         where = "" if fault.at is None else f", {_where(found, fault.at)}"
-        lines.append(f"fault       {fault.text}{where}")
+        lines.append(("fault", f"{fault.text}{where}"))
     if not certificate.valid and contents["limits_hold_at_speed"]:
         slower = contents["limits_hold_at_speed"]
-        lines.append(f"slower      at {slower:.2f} of this speed every limit holds")
+        lines.append(("slower", f"at {slower:.2f} of this speed every limit holds"))
     lines += [
-        f"limit       {use.words} used to {use.share:.3g} by {use.of} at {use.time:.4f} s"
+        ("limit", f"{use.words} used to {use.share:.3g} by {use.of} at {use.time:.4f} s")
         for use in found.uses
     ]
     if certificate.states_checked == 0:
-        return lines
+        return Report.of(lines, lambda: contents)
     distances = [
         f"{what} {_distance(found, clearance)}"
         for what, clearance in (
@@ -207,30 +208,45 @@ def report_lines(found: DryRun, contents: dict[str, Any]) -> list[str]:
     near = compared["obstacles"] - len(compared["out_of_reach"])
     reasons = Counter(pair["reason"] for pair in compared["left_out"])
     left = ", ".join(f"{count} {reason}" for reason, count in reasons.most_common())
-    return [
-        *lines,
-        f"constraint  at most {bound_text(certificate.max_violation_rad, up=True)} rad, "
-        f"{bound_text(certificate.max_violation_m, up=True)} m outside{outside}; "
-        f"{CERTIFICATE_TOLERANCE:g} is allowed",
-        *([f"unproven    {certificate.constraint_gap}"] if certificate.constraint_gap else []),
-        *(f"clearance   {distance}" for distance in distances),
-        *([f"tolerates   {certificate.tolerated}"] if certificate.tolerated else []),
-        *([f"jerk        {jerk}"] if "accelerations" in jerk else []),
-        f"resolution  {proven}, with {certificate.states_checked} checks{curve}",
-        f"compared    {compared['moving_pieces']} moving and {compared['carried_pieces']} carried "
-        f"pieces: {compared['own_pairs']} pairs with each other; each of them with the "
-        f"{compared['obstacle_pieces']} pieces of {near} obstacles in reach (of "
-        f"{compared['obstacles']} obstacles)",
-        f"left out    {compared['standing_pieces']} standing pieces with obstacles; pairs of "
-        f"links: {left or 'none'}",
-        *(f"note        {note}" for note in compared["notes"]),
-        f"tolerances  constraint {tolerances['constraint']:g} rad or m, step "
-        f"{tolerances['step_rad']:g} rad, ends {tolerances['ends_rad']:g} rad, margin "
-        f"{1e3 * tolerances['margin_m']:.2g} mm, clearance from obstacles "
-        f"{1e3 * tolerances['clearance_m']:g} mm",
-        f"record      version {contents['version']}, problem {contents['problem_sha256'][:12]}, "
-        f"motion {contents['motion_sha256'][:12]}",
+    lines += [
+        (
+            "constraint",
+            f"at most {bound_text(certificate.max_violation_rad, up=True)} rad, "
+            f"{bound_text(certificate.max_violation_m, up=True)} m outside{outside}; "
+            f"{CERTIFICATE_TOLERANCE:g} is allowed",
+        ),
+        *([("unproven", certificate.constraint_gap)] if certificate.constraint_gap else []),
+        *(("clearance", distance) for distance in distances),
+        *([("tolerates", str(certificate.tolerated))] if certificate.tolerated else []),
+        *([("jerk", jerk)] if "accelerations" in jerk else []),
+        ("resolution", f"{proven}, with {certificate.states_checked} checks{curve}"),
+        (
+            "compared",
+            f"{compared['moving_pieces']} moving and {compared['carried_pieces']} carried "
+            f"pieces: {compared['own_pairs']} pairs with each other; each of them with the "
+            f"{compared['obstacle_pieces']} pieces of {near} obstacles in reach (of "
+            f"{compared['obstacles']} obstacles)",
+        ),
+        (
+            "left out",
+            f"{compared['standing_pieces']} standing pieces with obstacles; pairs of "
+            f"links: {left or 'none'}",
+        ),
+        *(("note", note) for note in compared["notes"]),
+        (
+            "tolerances",
+            f"constraint {tolerances['constraint']:g} rad or m, step "
+            f"{tolerances['step_rad']:g} rad, ends {tolerances['ends_rad']:g} rad, margin "
+            f"{1e3 * tolerances['margin_m']:.2g} mm, clearance from obstacles "
+            f"{1e3 * tolerances['clearance_m']:g} mm",
+        ),
+        (
+            "record",
+            f"version {contents['version']}, problem {contents['problem_sha256'][:12]}, "
+            f"motion {contents['motion_sha256'][:12]}",
+        ),
     ]
+    return Report.of(lines, lambda: contents)
 
 
 def _distance(found: DryRun, clearance: Clearance) -> str:

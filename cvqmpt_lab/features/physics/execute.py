@@ -16,8 +16,7 @@ from cvqmpt_lab.base.files import finite
 from cvqmpt_lab.base.polyline import nearest_places
 from cvqmpt_lab.certificate.certificate import CERTIFICATE_TOLERANCE
 from cvqmpt_lab.constraints.constraint import Constraint
-from cvqmpt_lab.constraints.report import displacements, excess
-from cvqmpt_lab.constraints.task_space_region import UNITS
+from cvqmpt_lab.constraints.task_space_region import UNITS, displacements, excess
 from cvqmpt_lab.features.motion.trajectory import Trajectory
 from cvqmpt_lab.features.physics.mjcf import LOAD_BODY, Physics
 from cvqmpt_lab.features.physics.simulation import (

@@ -16,6 +16,7 @@ import numpy as np
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.base.polyline import distances_along
 from cvqmpt_lab.base.poses import pose
+from cvqmpt_lab.collision.exact import checker_of
 from cvqmpt_lab.features.pictures.curves import Plot, plots_along, plots_over
 from cvqmpt_lab.features.pictures.meshes import (
     Colour,
@@ -365,7 +366,7 @@ def frames(
         if outcome is None or outcome.trajectory is None or outcome.solution.path is None:
             break
         motion = outcome.trajectory.sampled(period)
-        checker = outcome.solution.problem.collision_checker()
+        checker = checker_of(outcome.solution.problem)
         for t, q in zip(motion.times, motion.positions, strict=True):
             distance = checker.clearance(q) if clearance else math.nan
             found.append(Frame(time + float(t), phase.name, world.moved(q), distance))

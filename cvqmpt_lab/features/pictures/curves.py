@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvqmpt_lab.base.poses import rotation_matrices
-from cvqmpt_lab.constraints.report import displacements
-from cvqmpt_lab.constraints.task_space_region import ROWS, UNITS, TaskSpaceRegion
+from cvqmpt_lab.collision.exact import checker_of
+from cvqmpt_lab.constraints.task_space_region import ROWS, UNITS, TaskSpaceRegion, displacements
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot
 
@@ -68,7 +68,7 @@ def plots_along(problem: PlanningProblem, states: np.ndarray) -> list[Plot]:
             title = f"{ROWS[row]}{number} against its bounds [{UNITS[row]}]"
             name = f"bounds/{k}_{ROWS[row].replace(' ', '_')}"
             found.append(Plot(name, title, {ROWS[row]: x[:, row]}, bounds))
-    checker = problem.collision_checker()
+    checker = checker_of(problem)
     clearance = np.array([checker.clearance(q) for q in states])
     return [*tilts, *found, *_clearance_and_joints(robot, states, clearance)]
 

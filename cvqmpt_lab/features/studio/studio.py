@@ -384,10 +384,9 @@ def text_of(response: Response) -> str:
     if response.message:
         lines += [_plain(response.message), "The path is that of an earlier request:"]
     if response.solution is not None:
-        for line in response.solution.report(response.planner):
-            head = line[:12].strip()
-            if head in ("planner", "constraint", "length", "certificate"):
-                lines.append(f"*{head}* {_plain(line[12:])}")
+        report = response.solution.report(response.planner)
+        shown = report.only("planner", "constraint", "length", "certificate")
+        lines += [f"*{label}* {_plain(text)}" for label, text in shown.entries]
     return "\n\n".join(lines)
 
 

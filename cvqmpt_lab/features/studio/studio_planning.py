@@ -21,6 +21,7 @@ from cvqmpt_lab.base.errors import (
 from cvqmpt_lab.base.files import json_text
 from cvqmpt_lab.base.poses import Pose
 from cvqmpt_lab.base.values import scalar
+from cvqmpt_lab.collision.exact import checker_of
 from cvqmpt_lab.constraints.goals import SAMPLE_MARGIN_M, sample_region
 from cvqmpt_lab.constraints.named import upper_axis
 from cvqmpt_lab.constraints.no_goal import why_none
@@ -31,7 +32,8 @@ from cvqmpt_lab.features.pictures.drawn_hands import sampled_hands
 from cvqmpt_lab.features.pictures.meshes import Colour
 from cvqmpt_lab.features.pictures.picture import png_of
 from cvqmpt_lab.features.pictures.web_page import path_html
-from cvqmpt_lab.planning.margins import Margin, solve_with_margin
+from cvqmpt_lab.features.plan import Request, plan
+from cvqmpt_lab.planning.margins import Margin
 from cvqmpt_lab.planning.pipeline import PROBLEM_HINT
 from cvqmpt_lab.planning.planners import PLANNERS, default_planner, planner_named
 from cvqmpt_lab.planning.solution import Solution
@@ -43,7 +45,7 @@ from cvqmpt_lab.search.result import Budget, JointPath
 
 
 @dataclass(frozen=True, eq=False)
-class Request:
+class StudioRequest:
     """A planning request; each change makes a new one."""
 
     number: int
@@ -57,7 +59,7 @@ class Request:
     speed: float = SLOW_SPEED  # of the joint limits, for play and for a saved trajectory
     layers: frozenset[str] = frozenset(("start", "goals", "path", "constraint"))  # that are drawn
 
-    def plans_like(self, other: "Request") -> bool:
+    def plans_like(self, other: "StudioRequest") -> bool:
         """Return whether only speed and layers differ, so that nothing is planned again."""
         fields = "planner", "constraint", "start", "goal", "moved", "clearance"
         return all(getattr(self, name) is getattr(other, name) for name in fields)
@@ -72,7 +74,7 @@ class Request:
 class Response:
     """Response to a planning request."""
 
-    request: Request
+    request: StudioRequest
     problem: PlanningProblem  # the problem that `solution` solves
     verdict: str = "not planned yet"  # or "certified", or "no path"
     seconds: float = 0.0  # from inverse kinematics to the certificate [s]
@@ -125,9 +127,9 @@ class Studio:
         self.groups: dict[str, list[SceneObject]] = {}
         for item in problem.scene:
             self.groups.setdefault(item.name.partition("/")[0], []).append(item)
-        self._past: list[Request] = []  # what `undo` goes back to, the last one first
-        self.request = self._first = Request(0, planner)  # the newest and the first one
-        self.response = Response(Request(-1, planner), problem)  # the newest one
+        self._past: list[StudioRequest] = []  # what `undo` goes back to, the last one first
+        self.request = self._first = StudioRequest(0, planner)  # the newest and the first one
+        self.response = Response(StudioRequest(-1, planner), problem)  # the newest one
         self._changed, self._stopped = threading.Condition(), False
         self._worker = threading.Thread(target=self._work, daemon=True, name="studio")
         self._worker.start()
@@ -178,7 +180,7 @@ class Studio:
         self.remember()
         return self._again(self._first)
 
-    def _again(self, request: Request) -> int:
+    def _again(self, request: StudioRequest) -> int:
         """Submit an earlier request under a new number, and return that."""
         return self.submit(**vars(request))
 
@@ -240,7 +242,7 @@ class Studio:
             except Exception:  # an error while drawing must not end the planning
                 logging.getLogger("cvqmpt").exception("a response cannot be drawn")
 
-    def _planned(self, request: Request) -> Response:
+    def _planned(self, request: StudioRequest) -> Response:
         """Plan a request and return the response; it has the last path if none was found."""
         last = self.response
         if last.request.number >= 0 and request.plans_like(last.request):
@@ -252,10 +254,9 @@ class Studio:
                 warm_up(self.problem, method, "compiled")
                 began = time.perf_counter()
             problem = self._problem_of(request)
-            margin = Margin(request.clearance).check()
-            found, _ = solve_with_margin(
-                problem, method, self._budget, 0, margin, near_goals_first=True
-            )
+            margin = Margin(request.clearance)
+            asked = Request(method, self._budget, 0, margin, near_goals_first=True)
+            found = plan(problem, asked).solution
             if found.solved:
                 seconds = time.perf_counter() - began
                 solved = found.problem
@@ -268,7 +269,7 @@ class Studio:
         seconds = time.perf_counter() - began
         return replace(last, request=request, verdict="no path", seconds=seconds, message=message)
 
-    def _problem_of(self, request: Request) -> PlanningProblem:
+    def _problem_of(self, request: StudioRequest) -> PlanningProblem:
         """Problem of a request; InvalidInputError if the hand cannot reach its start or goal."""
         last, scene = self.response, self.problem.scene
         if request.moved:
@@ -327,7 +328,7 @@ def _reached(problem: PlanningProblem, what: str, T: np.ndarray, near: np.ndarra
         near: configuration (n,) [rad or m].
     """
     region = TaskSpaceRegion(T, np.eye(4), np.zeros((6, 2)))
-    checker, rng = problem.collision_checker(SAMPLE_MARGIN_M), np.random.default_rng(0)
+    checker, rng = checker_of(problem, SAMPLE_MARGIN_M), np.random.default_rng(0)
     some = partial(sample_region, problem.robot, region, checker, rng, within=problem.constraint)
     found = np.concatenate([some(2, 2, near=near).configurations, some(2, 12).configurations])
     if len(found) == 0:

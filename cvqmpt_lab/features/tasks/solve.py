@@ -8,6 +8,7 @@ the budget first, and the whole budget if they fail from all grasps.
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -19,16 +20,18 @@ from cvqmpt_lab.base.errors import (
     require_kind,
     whole_number,
 )
-from cvqmpt_lab.features.motion.motion_check import certified_motion
+from cvqmpt_lab.base.reports import Report
 from cvqmpt_lab.features.motion.record import record_of
 from cvqmpt_lab.features.motion.timing import TimingSettings
 from cvqmpt_lab.features.motion.trajectory import Trajectory
+from cvqmpt_lab.features.plan import Request, plan
 from cvqmpt_lab.features.tasks.task import Move, Phase, PlannedPhase, Task
 from cvqmpt_lab.features.tasks.world import World, phase_goals, prepare
-from cvqmpt_lab.planning.margins import NO_MARGIN, Margin, solve_with_margin
+from cvqmpt_lab.planning.margins import NO_MARGIN, Margin
 from cvqmpt_lab.planning.pipeline import no_plan
 from cvqmpt_lab.planning.planners import planner_named
-from cvqmpt_lab.planning.solution import Solution, solution_data
+from cvqmpt_lab.planning.solution import Solution
+from cvqmpt_lab.planning.usable import why_no_goal
 from cvqmpt_lab.search.method import Method
 from cvqmpt_lab.search.result import Budget, PlanStatus
 
@@ -233,23 +236,25 @@ class _Run:
         problem = step.world.problem(self.task, step.phase)
         incompatible = self.method.incompatibility(problem)
         fallback = f"birrt: {incompatible}" if incompatible else ""
-        reason, margin = step.reason, ""
+        reason, planned = step.reason, None
         if len(step.goals) == 0:
             solution = Solution(problem, no_plan(PlanStatus.NO_GOAL))
-            reason = "; ".join(filter(None, (reason, problem.why_no_goal())))
+            reason = "; ".join(filter(None, (reason, why_no_goal(problem))))
         else:
             self.runs += 1
             try:
-                solution, margin = solve_with_margin(
-                    problem.changed(goals=step.goals),
+                request = Request(
                     "birrt" if incompatible else self.method,
                     self.budget.share(share),
                     int(np.random.default_rng([self.seed, self.runs]).integers(2**32)),
                     self.margin,
+                    timing=self.timing,
                     backend=self.backend,
                     exact_clearance=True,
                     use_cache=False,  # each phase observes another scene
                 )
+                planned = plan(problem.changed(goals=step.goals), request)
+                solution = planned.solution
                 reason = "" if solution.solved else _why(solution)
                 self.cut_short |= not solution.solved and share < 1.0
             except InvalidProblemError as error:
@@ -258,16 +263,14 @@ class _Run:
         step.goal_seconds = 0.0
         name = step.phase.name
         attempts = self.attempts[name] = (*self.attempts.get(name, ()), solution)
+        margin = "" if planned is None else str(planned.margin)
         outcome = PhaseOutcome(
             step.phase, step.world, attempts, margin=margin, fallback=fallback, reason=reason
         )
-        if not solution.solved or solution.path is None:
-            return outcome
         try:
-            motion = certified_motion(solution.problem, solution.path, self.timing)
+            return replace(outcome, trajectory=None if planned is None else planned.motion)
         except InvalidInputError as error:
             return replace(outcome, reason=f"not timed: {error}")
-        return replace(outcome, trajectory=motion)
 
 
 def _why(solution: Solution) -> str:
@@ -284,8 +287,8 @@ def event_of(phase: Phase) -> dict[str, Any]:
     return {"phase": phase.name, **{key: plain[key] for key in keys if key in plain}}
 
 
-def task_data(solution: TaskSolution, planner: str) -> dict[str, Any]:
-    """Plain data for json: the phases in order, planned ones with their `solution_data`."""
+def _data(solution: TaskSolution, planner: str) -> dict[str, Any]:
+    """Plain data for json: the phases in order, planned ones with their data."""
     phases = []
     for phase, outcome in solution.steps:
         data = event_of(phase)
@@ -296,7 +299,8 @@ def task_data(solution: TaskSolution, planner: str) -> dict[str, Any]:
                 "margin": outcome.margin,
                 "reason": outcome.reason,
             }
-            data |= solution_data(outcome.solution, planner, record_of(outcome.solution))
+            own = outcome.solution.report(planner, record=partial(record_of, outcome.solution))
+            data |= own.data
             data |= {"solved": outcome.solved, "fallback": outcome.fallback or data["fallback"]}
         phases.append(data)
     return {
@@ -308,10 +312,10 @@ def task_data(solution: TaskSolution, planner: str) -> dict[str, Any]:
     }
 
 
-def task_lines(solution: TaskSolution, planner: str, speed: float) -> list[str]:
-    """Lines of the report on the command line; speed: fraction of the joint limits."""
+def task_report(solution: TaskSolution, planner: str, speed: float = 1.0) -> Report:
+    """Return the report of a task; speed: fraction of the joint limits, for the lines."""
     at_speed = f"at {speed:g} of the limits"
-    lines = [f"task        {solution.task.name}, planner {planner}"]
+    lines = [("task", f"{solution.task.name}, planner {planner}")]
     planning = execution = 0.0
     for outcome in solution.outcomes:
         goals = sum(attempt.goal_seconds for attempt in outcome.attempts)
@@ -321,7 +325,7 @@ def task_lines(solution: TaskSolution, planner: str, speed: float) -> list[str]:
         )
         planning += goals + search + simplify
         line = (
-            f"{outcome.phase.name:15} goals {1e3 * goals:.0f} ms, plan {1e3 * search:.0f} ms, "
+            f"goals {1e3 * goals:.0f} ms, plan {1e3 * search:.0f} ms, "
             f"simplify {1e3 * simplify:.0f} ms"
         )
         if len(outcome.attempts) > 1:
@@ -330,10 +334,12 @@ def task_lines(solution: TaskSolution, planner: str, speed: float) -> list[str]:
             execution += outcome.trajectory.duration
             line += f", certified, {outcome.trajectory.duration:.1f} s of motion {at_speed}"
             line += f", margin {outcome.margin}"
-        lines.append(line + (f" ({outcome.fallback})" if outcome.fallback else ""))
+        line += f" ({outcome.fallback})" if outcome.fallback else ""
+        lines.append((f"{outcome.phase.name:15} ", line))
     if solution.solved:
-        return [
-            *lines,
-            f"solved      planning {planning:.2f} s, execution {execution:.1f} s {at_speed}",
+        lines += [
+            ("solved", f"planning {planning:.2f} s, execution {execution:.1f} s {at_speed}"),
         ]
-    return [*lines, f"FAILED      {solution.failure}"]
+    else:
+        lines.append(("FAILED", solution.failure))
+    return Report.of(lines, partial(_data, solution, planner))

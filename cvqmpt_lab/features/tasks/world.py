@@ -13,7 +13,7 @@ import numpy as np
 
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.base.poses import pose, rotation_vectors
-from cvqmpt_lab.collision.exact import CollisionChecker
+from cvqmpt_lab.collision.exact import CollisionChecker, checker_of
 from cvqmpt_lab.constraints.goals import (
     MAX_GOALS,
     REGION_INSET,
@@ -318,4 +318,4 @@ def _sampled(
 def _checker(problem: PlanningProblem, door_margin: float = 5e-4) -> CollisionChecker:
     """Collision checker for starts and goals; with a door in hand its margin is door_margin [m]."""
     held = "articulated" in problem.robot.source
-    return problem.collision_checker(door_margin if held else SAMPLE_MARGIN_M)
+    return checker_of(problem, door_margin if held else SAMPLE_MARGIN_M)

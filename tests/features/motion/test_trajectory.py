@@ -14,7 +14,6 @@ from toppra_duration import weak_efforts
 from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.benchmarks.place_task import place_problem
 from cvqmpt_lab.certificate.certificate import FaultKind
-from cvqmpt_lab.features.lines.moving_ends import solve_on_the_move
 from cvqmpt_lab.features.motion.motion_check import certified_motion, dry_run
 from cvqmpt_lab.features.motion.timing import TimingSettings, time_path
 from cvqmpt_lab.features.motion.trajectory import (
@@ -25,6 +24,8 @@ from cvqmpt_lab.features.motion.trajectory import (
     read_motion,
     save_trajectory,
 )
+from cvqmpt_lab.features.plan import Request, plan
+from cvqmpt_lab.planning.margins import NO_MARGIN
 from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.robot.dynamics import Dynamics, without_effort_limit
 from cvqmpt_lab.robot.load import load_robot, panda, robot_from_source
@@ -148,12 +149,10 @@ def test_a_path_goes_straight_on_where_the_arm_moves(problem):
         scene=Scene("none", ()), constraint=(), goal_region=None, goals=goals, attachments=()
     )
 
-    def planned(between):
-        return solve(between, "birrt", Budget(iterations=20_000), seed=0)
-
-    found = solve_on_the_move(free, (start, end), problem.robot.joint_limits, planned)
     settings = TimingSettings(1.0, start_velocity=start, end_velocity=end)
-    motion = certified_motion(free, found.path, settings)
+    motion = plan(
+        free, Request("birrt", Budget(iterations=20_000), margin=NO_MARGIN, timing=settings)
+    ).motion
     np.testing.assert_allclose(motion.velocities[[0, -1]], [start, end], atol=1e-6)
     np.testing.assert_allclose(motion.positions[[0, -1]], [free.start, goals[0]], atol=1e-9)
 

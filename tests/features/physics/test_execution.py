@@ -22,9 +22,9 @@ from cvqmpt_lab.features.physics import execute
 from cvqmpt_lab.features.physics.execute import Outcome, agreed, execute_motion, execute_task
 from cvqmpt_lab.features.physics.mjcf import ARMATURE, HAND_SITE, Physics, mjcf_of
 from cvqmpt_lab.features.physics.simulation import Controller
+from cvqmpt_lab.features.plan import Request, plan
 from cvqmpt_lab.features.tasks.task import Release
 from cvqmpt_lab.paper_tables.committed import RESULTS
-from cvqmpt_lab.planning.margins import Margin, solve_with_margin
 from cvqmpt_lab.robot.load import load_robot, robot_from_source, with_gripper
 from cvqmpt_lab.robot.robot import Follower
 from cvqmpt_lab.scene.scene import Scene, SceneObject
@@ -42,7 +42,7 @@ FINGERS = {
 def carrying():
     """A problem in which the arm carries the can, and a certified motion half of the way."""
     problem = suite_named("place-task-with-can").solvable(3)
-    found, _ = solve_with_margin(problem, "birrt", Budget(iterations=40_000), 0, Margin())
+    found = plan(problem, Request("birrt", Budget(iterations=40_000))).solution
     states = found.path.states[: len(found.path.states) // 2]
     problem = found.problem.changed(goals=states[-1:], goal_region=None)
     return problem, certified_motion(problem, JointPath(states))

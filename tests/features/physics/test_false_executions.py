@@ -8,7 +8,7 @@ import trimesh
 from small_arms import carried, gantry, problem_of
 
 from cvqmpt_lab.base.poses import pose
-from cvqmpt_lab.cli.execute_command import _lines
+from cvqmpt_lab.cli.execute_command import _report
 from cvqmpt_lab.features.motion.trajectory import Trajectory
 from cvqmpt_lab.features.physics.execute import execute_motion
 from cvqmpt_lab.problem import PlanningProblem
@@ -115,7 +115,7 @@ def test_couplings_of_joints_are_judged_and_those_of_width_0_are_stated(tmp_path
     (use,) = found.functions
     assert use.off == pytest.approx(0.3, abs=1e-3) and np.isnan(use.outside)
     assert found.faults == [] and found.data["functions"][0]["off"] == use.off
-    told = [line for line in _lines([found, found], "") if line.startswith("function")]
+    told = [line for line in _report([found, found], "").lines if line.startswith("function")]
     assert told == [
         f"function    left_rail - left_turn from 0 to 0; at most {use.off:.2g} off: a controller "
         "cannot keep it exactly"
@@ -127,5 +127,5 @@ def test_the_deviation_from_values_that_a_region_fixes_is_stated(tmp_path):
     plane = {"plane": {"normal": [1.0, 0.0, 0.0], "point": [0.0, 0.0, 0.0]}}
     found = executed(tmp_path, 0.3, constraint=[plane])
     assert found.fixed_off_m == pytest.approx(0.3, abs=1e-3) and np.isnan(found.fixed_off_rad)
-    (line,) = (line for line in _lines([found], "") if line.startswith("fixed"))
+    (line,) = (line for line in _report([found], "").lines if line.startswith("fixed"))
     assert line.startswith("fixed       at most 0.3 m off the values that bounds of width 0 fix")

@@ -15,7 +15,7 @@ from cvqmpt_lab.certificate.certificate import FaultKind, certify
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.experiments.experiment import Experiment
 from cvqmpt_lab.experiments.run import phase_rows
-from cvqmpt_lab.features.tasks.solve import solve_task, task_lines
+from cvqmpt_lab.features.tasks.solve import solve_task, task_report
 from cvqmpt_lab.features.tasks.task import Grasp, Move, Release, Task
 from cvqmpt_lab.features.tasks.world import World, phase_goals
 from cvqmpt_lab.scene.scene import SceneObject
@@ -267,5 +267,7 @@ def test_the_report_states_the_margin_that_each_phase_keeps(task_solution):
     first, *others = task_solution.outcomes
     less = "0.9 mm, 0.005 rad of 50 mm, 0.005 rad: the start is 0.9 mm from can and shelf"
     shown = replace(task_solution, outcomes=(replace(first, margin=less), *others))
-    line = next(line for line in task_lines(shown, "birrt", 1.0) if line.startswith("reach-handle"))
+    line = next(
+        line for line in task_report(shown, "birrt", 1.0).lines if line.startswith("reach-handle")
+    )
     assert line.endswith(f"of the limits, margin {less}")

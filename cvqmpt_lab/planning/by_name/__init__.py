@@ -226,6 +226,6 @@ SHIPPED = (
 @cache
 def declared(*groups: str) -> dict[str, Planner]:
     """Return the planners of groups by name; without any, those of suites, slow ones included."""
-    every = (*SHIPPED, *(module.PLANNER for module in Modules("planners").values()))
+    every = (*SHIPPED, *(module.PLANNER for module in Modules("planning/by_name").values()))
     groups = groups or ("quick", "slow", "seldom", "in-ompl")
     return {planner.name: planner for planner in every if planner.group in groups}
