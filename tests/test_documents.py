@@ -111,6 +111,13 @@ def test_every_public_name_is_there():
         _ = cvqmpt_lab.solv
 
 
+def test_the_page_on_python_lists_every_public_name():
+    page = (ROOT / "docs" / "api.md").read_text()
+    for module, names in cvqmpt_lab._NAMES.items():
+        listed = f".. automodule:: cvqmpt_lab.{module}\n   :members: {', '.join(names)}\n"
+        assert listed in page, listed
+
+
 def test_editors_and_type_checkers_find_the_names_that_are_imported_when_used():
     """Imports under TYPE_CHECKING, the table of lazy imports and `__all__` have equal names."""
     tree = ast.parse(Path(cvqmpt_lab.__file__).read_text())
