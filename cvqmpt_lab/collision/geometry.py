@@ -134,8 +134,8 @@ def robot_geometry(
 
     Args:
         specs: geometries, posed in their links.
-        link: pose row of each; those of link 0, fixed to the world, are not checked against
-            obstacles.
+        link: pose row of each; geometries of link 0, which is fixed to the world, are not checked
+            against obstacles.
         pairs: geometries to check against each other.
         whole: geometries that are not cut: one ball around each, which is checked exactly more
             often, instead of thousands.

@@ -22,7 +22,7 @@ class Sweep:
 
     def __init__(self, robot: Robot, geometry: pin.GeometryModel, links: Sequence[int]) -> None:
         self.frames = joint_frames(robot)
-        # bounds are of all joints' values: those of joints that mimic others are linear in q
+        # bounds cover all joints; values of mimic joints are linear in q
         self._kinematics = robot.kinematics
         objects, joints = geometry.geometryObjects, robot.model.njoints
         support = np.zeros((joints, robot.model.nv), dtype=bool)

@@ -254,7 +254,7 @@ def sample_region(
 def _others(
     robot: Robot, candidates: np.ndarray, found: Sequence[np.ndarray], distinct: float
 ) -> np.ndarray:
-    """Return those of candidates (k, n) that differ from all found by `distinct` in a joint."""
+    """Return the candidates (k, n) that differ from all found by `distinct` in a joint."""
     apart = candidates[:, None] - np.array(found).reshape(-1, robot.dof)
     apart = np.where(robot.turns_freely, nearest_turn(apart, 0.0), apart)
     return candidates[(np.abs(apart).max(axis=-1, initial=0.0) >= distinct).all(axis=-1)]
@@ -495,7 +495,7 @@ def _reached(
         scene: obstacles.
         regions: the first one is moved to each pose.
         T: poses (k, 4, 4) [m].
-        seeds: configurations (n,) [rad or m]; that with the hand nearest to the pose is taken.
+        seeds: configurations (n,) [rad or m]; the one with the hand nearest to the pose is taken.
     """
     robot = problem.robot
     assert problem.goal_region is not None
@@ -522,7 +522,7 @@ def _reached(
 
 
 def goals_in_any_posture(problem: GoalProblem, count: int = MAX_GOALS) -> GoalSample:
-    """Draw goals from random seeds, whatever their distance from the start, see `draw_goals`.
+    """Draw goals from random seeds, at any distance from the start, see `draw_goals`.
 
     Suites whose problems have given goals take these.
     """
@@ -533,7 +533,7 @@ def goals_in_any_posture(problem: GoalProblem, count: int = MAX_GOALS) -> GoalSa
     sampled = partial(sample_goals, problem, rng, count, near=near)
     drawn = None
     if problem.closed_chain:
-        # few postures of two hands come near to that of the start
+        # few postures of two hands come near the start's posture
         sampled = partial(_near_and_far, problem, rng, count)
     if not only_projected(problem.robot, region):
         drawn = sampled(within=held)
@@ -554,7 +554,7 @@ def _near_and_far(
 
 
 def on_manifold(problem: GoalProblem, states: np.ndarray) -> np.ndarray:
-    """Return those of states (k, n) that satisfy the constraint; all, if none does.
+    """Return the states (k, n) that satisfy the constraint; all, if none does.
 
     Then the check of goals can name the violated bound.
     """

@@ -40,7 +40,7 @@ class BoundUse:
 
 
 def shown_lower(row: int, lower: float) -> float:
-    """Return the lower bound of a row of `bounds` as it is shown: rows from 6 are not negative."""
+    """Return the lower bound of a row of `bounds` to show: from row 6 on, at least 0."""
     return max(lower, 0.0) if row >= 6 else lower
 
 

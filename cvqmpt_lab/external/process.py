@@ -161,7 +161,7 @@ class PlannerProcess:
                 left = min(left, began + seconds - time.perf_counter())
             if left <= 0.0:
                 raise NoReply("interrupted", late=True)
-            # before reading, so that all is read that it wrote before it ended
+            # test for exit first, then drain the pipe: its last message is not lost
             ended = self._process.poll() is not None
             if self._connection in wait((self._connection, *self._output()), left):
                 part = self._connection.recv(2**20)

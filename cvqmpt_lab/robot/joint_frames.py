@@ -15,7 +15,7 @@ from cvqmpt_lab.robot.robot import Robot
 class JointFrames:
     """Forward kinematics of a pinocchio model of hinges and sliders.
 
-    Frames are pinocchio's: frame 0 is the world's, frame j + 1 that of joint j.
+    Frames are pinocchio's: frame 0 is the world, frame j + 1 belongs to joint j.
     """
 
     def __init__(self, model: pin.Model) -> None:

@@ -147,7 +147,7 @@ def _is_body(body: ElementTree.Element, where: str, thinnest: float = 1e-4) -> b
     )
     with located(where):
         for part in body:
-            if ":" not in part.tag:  # parts with a namespace are those of simulators
+            if ":" not in part.tag:  # simulators' parts have a namespace
                 require_choice("part", part.tag, parts)
         shapes = [shape for geometry in body.findall("geometry") for shape in geometry]
         if not shapes:

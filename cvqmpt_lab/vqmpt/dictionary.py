@@ -210,7 +210,7 @@ class Quantizer(nn.Module):
     def forward(self, latent: Tensor) -> Quantized:
         """Quantise latents (..., d_model), with the straight-through estimator z + e - sg(z).
 
-        Its value is the code e; its gradient reaches both the encoder, as that of z, and the code.
+        Its value is the code e; its gradient reaches both the encoder (through z) and the code.
         """
         self.normalise_codes()
         z = self.project(latent)
@@ -343,7 +343,7 @@ class Dictionary(nn.Module):
         return self.quantizer.nearest(self.quantizer.project(self.encoder(waypoints)))
 
     def decode(self, z: Tensor) -> Gaussians:
-        """Gaussians g(z) (...) of code vectors z (..., code_dim), also of others than the codes."""
+        """Decode any latent vectors z (..., code_dim), not only dictionary codes."""
         return self.decoder(self.quantizer.output_linear_map(z))
 
 
