@@ -35,8 +35,10 @@ from cvqmpt_lab.constraints.reach_free import (
     COLLIDING_POSE,
     UNREACHABLE_POSE,
     UNTRIED_POSE,
+    Attempts,
     Poses,
     Seeds,
+    Stopping,
     reach_free,
 )
 from cvqmpt_lab.constraints.region_constraint import (
@@ -322,13 +324,13 @@ def sample_goals(
         robot_arrays(robot, problem.carried),
         scene_arrays(problem.scene, reach_with(robot, problem.carried), problem.clearance),
         SAMPLE_MARGIN_M,
-        seeds,
-        rng.integers(len(seeds.configurations) - look + 1, size=(POSE_ATTEMPTS, max_poses)),
-        look,
-        POSE_TOLERANCE,
-        POSE_STEPS,
+        Attempts(
+            seeds,
+            rng.integers(len(seeds.configurations) - look + 1, size=(POSE_ATTEMPTS, max_poses)),
+            look,
+        ),
         # from a given posture, or along limits and bounds, progress may be slow
-        near is None and not project,
+        Stopping(POSE_TOLERANCE, POSE_STEPS, on_stall=near is None and not project),
         projection_scratch(robot.kinematics, regions),
         count,
         poses,
@@ -506,13 +508,13 @@ def _reached(
         arm,
         scene,
         SAMPLE_MARGIN_M,
-        _seeds(robot, np.array(seeds), problem.goal_region.end_effector),
-        # one attempt: Newton's method from the same seed ends the same way again
-        np.zeros((1, len(T)), dtype=np.int64),
-        len(seeds),
-        POSE_TOLERANCE,
-        5 * POSE_STEPS,
-        False,
+        Attempts(
+            _seeds(robot, np.array(seeds), problem.goal_region.end_effector),
+            # one attempt: Newton's method from the same seed ends the same way again
+            np.zeros((1, len(T)), dtype=np.int64),
+            len(seeds),
+        ),
+        Stopping(POSE_TOLERANCE, 5 * POSE_STEPS, on_stall=False),
         projection_scratch(robot.kinematics, regions),
         len(T),
         poses,
