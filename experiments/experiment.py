@@ -191,7 +191,7 @@ class Part(NamedTuple):
 
 
 def planners_of(suite: Suite) -> tuple[str, ...]:
-    """Return the default planners of a suite, or those that can plan all problems of a folder."""
+    """Return the default planners of a suite, or all that fit every problem of a folder."""
     if not suite.digests:
         return suite.planners
     problems = [suite.solvable(name) for name in suite.problems]

@@ -189,7 +189,7 @@ def ompl_table(rows: Iterable[ResultRow], published: Sequence[PublishedValue] = 
 
 
 def _joint_lengths(runs: SuiteRuns) -> SuiteRuns:
-    """Return runs whose joint problems are those that all planners with lengths solved."""
+    """Return runs; their joint problems are the ones that all planners with lengths solved."""
     lengths = VALUES["ompl_length"]
     groups = {
         name: rows

@@ -169,7 +169,7 @@ def robot_geometry(
 def _bodies(
     link: Sequence[int], pairs: Sequence[tuple[int, int]], self_only: Collection[int]
 ) -> tuple[list[list[int]], list[tuple[int, int]]]:
-    """Group geometries by link and by what they are checked against.
+    """Group geometries by link and by their check partners.
 
     Returns:
         Geometries of each group, and the pairs of groups to check.

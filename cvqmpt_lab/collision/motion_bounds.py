@@ -80,7 +80,7 @@ class Sweep:
         before j, d/dq_i turns the vector axis_j x (x - origin_j), whose length is at most s_j.
         Sliders do not turn: they are left out of the inner sum. s_j grows as joints after j move.
 
-        n counts all joints, those that mimic others included.
+        n counts all joints, mimic joints included.
 
         Args:
             links: (l,), joint ids.

@@ -35,7 +35,7 @@ def bound_between(
         The bound (m - 1,) [m, rad], and whether it is linear in the length of the stretch (m - 1,):
         near singularities: rotation angle pi, tilt pi, distance, radius or bearing 0.
     """
-    # of all joints: those that mimic others turn links, too
+    # of all joints: mimic joints turn links, too
     change = np.abs(np.diff(robot.kinematics.joint_values(q), axis=0))
     rows = region.bounded_rows
     slides = robot.kinematics.prismatic

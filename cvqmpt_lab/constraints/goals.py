@@ -230,7 +230,7 @@ def sample_region(
     while len(found) < count and tried < max_poses:
         poses = region.poses_or_frame(rng, min(POSES_AT_ONCE, max_poses - tried))
         guesses = first_guesses(robot, rng, len(poses), near)
-        # as many poses at once as configurations are wanted: no more than needed are solved
+        # `count` poses at a time, so that few are solved in vain
         few = (slice(first, first + count) for first in range(0, len(poses), count))
         for candidates in (
             one
@@ -433,7 +433,7 @@ def _other_turns(robot: Robot, goals: np.ndarray) -> np.ndarray:
 
 
 def draw_goals(problem: GoalProblem) -> GoalSample:
-    """Draw goals from a problem's goal region, those near the start first.
+    """Draw goals from a problem's goal region, goals near the start first.
 
     The start itself is the only goal where the region contains it. Goals depend on the problem's
     start, not on a seed: all planners get the same. Where the hand holds a door, goals have the

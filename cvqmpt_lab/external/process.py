@@ -136,7 +136,7 @@ class PlannerProcess:
             raise NoReply(f"its reply cannot be read: {one_line(str(error))}") from error
 
     def stop(self) -> None:
-        """End the process and all that it has started."""
+        """End the process and its child processes."""
         if self._process is not None:
             self._end()
             self._process = None
@@ -214,7 +214,7 @@ class PlannerProcess:
         return f"its process was ended by {signal.Signals(-code).name}{cause}"
 
     def _signal(self, name: str) -> None:
-        """Send a signal to the process and all that it has started; only on Linux."""
+        """Send a signal to the process and its child processes; only on Linux."""
         if sys.platform == "linux" and self._process is not None:
             with contextlib.suppress(ProcessLookupError):
                 os.killpg(self._process.pid, signal.Signals[name])

@@ -32,7 +32,7 @@ class Load(NamedTuple):
 
 
 def loaded_model(robot: Robot, loads: Iterable[Load]) -> pin.Model:
-    """Return a robot's model whose links have the masses of what they carry."""
+    """Return a robot's model with the load's mass added to the links that carry it."""
     model = robot.model.copy()
     for load in loads:
         name = load.end_effector or robot.end_effector

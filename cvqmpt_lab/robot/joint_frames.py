@@ -45,7 +45,7 @@ class JointFrames:
     def poses(self, values: np.ndarray) -> np.ndarray:
         """Return T_world_frame (joints + 1, k, 4, 4) of all frames [m].
 
-        values: (k, joints), of all joints, those that mimic others included [rad or m].
+        values: (k, joints), of all joints, mimic joints included [rad or m].
         """
         weights = np.ones((*values.T.shape, 3))
         weights[..., 1] = np.where(self.hinges, np.sin(values), values).T

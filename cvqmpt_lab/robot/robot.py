@@ -42,7 +42,7 @@ class Follower(NamedTuple):
 
 
 class LeftOut(NamedTuple):
-    """Pair of links, or of a link and a piece of a door, that is not checked; and the reason.
+    """Unchecked pair of links, or of a link and a piece of a door; and the reason.
 
     Reasons: "SRDF: " and the reason in the SRDF; "fixed to each other"; "also held by" (a load and
     a second hand); "adjacent" (one joint between them); "overlap in N % of random states" (the

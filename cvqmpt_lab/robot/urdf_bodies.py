@@ -135,7 +135,7 @@ def _unknown_parts(
 
 
 def _is_body(body: ElementTree.Element, where: str, thinnest: float = 1e-4) -> bool:
-    """Check a body and return whether it is one; a placeholder is empty or of size 0.
+    """Check a body; return False for a placeholder, which is empty or of size 0.
 
     A length of 0 beside others becomes `thinnest` [m]: solids need a volume.
     """

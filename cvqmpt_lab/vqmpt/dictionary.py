@@ -227,7 +227,7 @@ class Quantizer(nn.Module):
         """Replace codes by encoded waypoints that are drawn at random.
 
         Args:
-            dead: (n_codes,) bool, the codes to replace: those no waypoint used lately, or all.
+            dead: (n_codes,) bool, the codes to replace: not used by recent waypoints, or all.
             latents: (m, d_model), encoded waypoints; each is drawn at most once if there are
                 enough.
 

@@ -229,7 +229,7 @@ def ended_runs(rows: Iterable[ResultRow]) -> set[RowKey]:
 
 
 def without_ended(rows: Sequence[ResultRow]) -> list[ResultRow]:
-    """Return the rows of all runs but those that the guard of worker processes ended."""
+    """Return the rows of all runs except runs that the guard of worker processes ended."""
     ended = ended_runs(rows)
     return [row for row in rows if row.run_key not in ended]
 

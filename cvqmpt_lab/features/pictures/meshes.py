@@ -76,7 +76,7 @@ def hull_mesh(vertices: np.ndarray) -> Mesh:
 def _hull_mesh(coordinates: bytes, most: int = 300, smooth: float = 0.7) -> Mesh:
     """Mesh of a convex hull.
 
-    Of more than `most` vertices, only those that are farthest in one of `most` directions are used.
+    If there are more than `most` vertices, only the farthest in each of `most` directions are used.
     Facets that meet at less than `smooth` [rad] are shaded as one curved surface.
     """
     vertices = np.frombuffer(coordinates).reshape(-1, 3)
