@@ -88,7 +88,7 @@ def main(executed: Path) -> int:
                 print(f"{path.name}: {difference}")
                 count += 1
     if count:
-        print(f"{count} lines of outputs differ; store those of today with: make notebooks")
+        print(f"{count} lines of outputs differ; to store the new ones: make notebooks")
     return 1 if count else 0
 
 

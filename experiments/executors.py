@@ -48,8 +48,8 @@ class Lost(NamedTuple):
 class Limit(NamedTuple):
     """When a task is given up. Processor time counts: the clock goes on while others compute."""
 
-    busy_s: float  # processor time of its process and of the processes that this started [s]
-    idle_s: float = 60.0  # time in which they use no processor [s]
+    busy_s: float  # processor time of its process and child processes [s]
+    idle_s: float = 60.0  # time without use of a processor [s]
 
 
 @dataclass

@@ -104,7 +104,7 @@ class Experiment:
             if budget is not None:
                 # an iteration takes less than 0.01 s
                 by_count = 0.01 * budget.iterations if budget.iterations else math.inf
-                # our operations take less time than those that the prices are of
+                # our operations take less time than the prices say
                 longest += min(budget.seconds or math.inf, by_count, budget.cost or math.inf)
         limit = Limit(spare + times * longest)
         # an external planner that waits is ended by its budget, and that counts as its failure
@@ -191,7 +191,7 @@ class Part(NamedTuple):
 
 
 def planners_of(suite: Suite) -> tuple[str, ...]:
-    """Return the default planners of a suite, or those that can plan all problems of a folder."""
+    """Return the default planners of a suite, or all that fit every problem of a folder."""
     if not suite.digests:
         return suite.planners
     problems = [suite.solvable(name) for name in suite.problems]

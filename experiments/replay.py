@@ -119,7 +119,7 @@ def _other_number(row: ResultRow, certificate: Certificate, rounding: float = 1e
     Args:
         row: the row of a path; empty columns are not compared.
         certificate: the new certificate.
-        rounding: differences up to this are those of other machines [m or rad].
+        rounding: differences up to this come from other machines [m or rad].
     """
     obstacle, own = certificate.obstacle_clearance, certificate.self_clearance
     numbers = {

@@ -60,7 +60,7 @@ class Outcome(NamedTuple):
 def outcome_of(run: Run, item: SuiteItem, goals: Goals | None = None) -> Outcome:
     """Solve an item; the seconds spent on the goals of a problem are charged to the planner.
 
-    The path of a problem in a map is also judged in the scene that the map is of.
+    The path of a problem in a map is also judged in the mapped scene.
     """
     setup = run.experiment
     if isinstance(item, UnsolvableProblem):
@@ -223,7 +223,7 @@ def _phase_problems(task: Task) -> list[str]:
 
 
 def phase_rows(run: Run, solution: TaskSolution) -> list[ResultRow]:
-    """Return rows of all planned phases; those after a failed one are failures, too."""
+    """Return rows of all planned phases; phases after a failed one are failures, too."""
     names = _phase_problems(solution.task)
     rows = [_phase_row(run, *pair) for pair in zip(names, solution.outcomes, strict=False)]
     return rows + [

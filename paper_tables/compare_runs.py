@@ -116,7 +116,7 @@ def against(rows: Rows, baseline: str) -> list[Compared]:
 
 
 def planners_of_one(a: Rows, b: Rows) -> tuple[list[str], list[str]]:
-    """Return the planners that only A has, and those that only B has."""
+    """Return the planners that only A has, and the planners that only B has."""
     of_a, of_b = by_planner(a, ()), by_planner(b, ())
     return [name for name in of_a if name not in of_b], [name for name in of_b if name not in of_a]
 

@@ -446,7 +446,7 @@ PEER_NOTES = (
     "seed, bootstrap interval. Length: Euclidean length of certified paths in joint space.",
     "Advantages of our planners: roboplan and sscbirrt bound roll, pitch and yaw, and get a box of "
     "nine tenths of the largest one that fits into the problem's bounds at any roll; HPP keeps the "
-    "hand exactly upright; the time of HPP contains its random shortcuts, and that of sscbirrt its "
+    "hand exactly upright; the time of HPP contains its random shortcuts, the time of sscbirrt its "
     "smoothing; roboplan has no shortening that respects constraints. roboplan and sscbirrt check "
     "states 0.05 rad apart, their default; their refused paths collide.",
 )

@@ -14,7 +14,7 @@ from cvqmpt_lab.paper_tables.table_engine import rows_of_one_suite
 
 
 def ompl_log(directory: Path) -> str:
-    """Return a results directory as one experiment, named after its suite, as OMPL writes logs.
+    """Return a results directory as one experiment in OMPL's log format, named after its suite.
 
     InvalidInputError: no readable runs of one suite, or solved runs without times.
     """

@@ -1,7 +1,7 @@
 """Table of the paper's experiment inside OMPL: Table I in the paper's currency and statistic.
 
 Cost is priced work, see `search.work.PRICES`; a failed run counts as the paper's cut-off. Ratios
-are those of the rule in docs/judgement.md: arithmetic means over problems with BCa intervals.
+follow the rule in docs/judgement.md: arithmetic means over problems with BCa intervals.
 """
 
 from collections.abc import Iterable, Sequence
@@ -189,7 +189,7 @@ def ompl_table(rows: Iterable[ResultRow], published: Sequence[PublishedValue] = 
 
 
 def _joint_lengths(runs: SuiteRuns) -> SuiteRuns:
-    """Return runs whose joint problems are those that all planners with lengths solved."""
+    """Return runs; their joint problems are the ones that all planners with lengths solved."""
     lengths = VALUES["ompl_length"]
     groups = {
         name: rows

@@ -47,7 +47,7 @@ class Quoted:
     def ratio(
         self, name: str, planner: str, value: str = "work", over: str = REFERENCE, kind: str = ""
     ) -> str:
-        """Return the geometric mean of the ratio of a value to that of another planner.
+        """Return the geometric mean of the ratio of a value between two planners.
 
         Args:
             name: name of the results directory.
@@ -76,7 +76,7 @@ class Quoted:
     def means_ratio(self, name: str, planner: str, over: str, value: str = "search_cost") -> str:
         """Return the ratio of means of a cost in the paper's seconds or of a length.
 
-        Failed runs cost the paper's cut-off; lengths are those of problems that both solved.
+        Failed runs cost the paper's cut-off; lengths are over problems that both solved.
 
         Args:
             name: name of the results directory.
@@ -110,7 +110,7 @@ class Quoted:
 
 
 def what_to_use(quoted: Quoted) -> dict[str, Interval]:
-    """Return five lines of advice, each with the time of its planner over that of `birrt`."""
+    """Return five lines of advice, each with its planner's time over `birrt`'s time."""
     lines = {
         "any arm, also in a new scene: roadmap": ("robots", "roadmap", "own_time"),
         "problems that others wrote: roadmap": ("motion-bench", "roadmap", "own_time"),

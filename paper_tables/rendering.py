@@ -28,7 +28,7 @@ def published_of(suite: str) -> tuple[PublishedValue, ...]:
 
 
 def table_of(rows: Iterable[ResultRow]) -> SuiteTable:
-    """Return the table of rows; a folder of problem files has that of the place task.
+    """Return the table of rows; a folder of problem files has the place task's table.
 
     Raises:
         InvalidInputError: the rows are not of exactly one suite.

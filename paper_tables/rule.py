@@ -144,9 +144,9 @@ def word_on_all_hardware(words: Mapping[str, Word]) -> Word:
 
 
 def claim_word(words: Sequence[Word]) -> str:
-    """Return the word of a claim: that of all comparisons, or "mixed (2 of 3)" where they differ.
+    """Return the word of a claim: the common word, or "mixed (2 of 3)" where words differ.
 
-    words: of the comparisons. The first number is that of the replicated ones.
+    words: of the comparisons. The first number counts the replicated ones.
     """
     different = set(words)
     if len(different) == 1:
@@ -197,7 +197,7 @@ def share_word(gain: Interval, paper: float | None, similar: bool) -> Word:
 def pooled(effects: Sequence[Interval], level_of_each: float, level: float) -> Interval:
     """Return the ratio of several kinds together, by a random-effects model.
 
-    Weights are those of DerSimonian and Laird (1986) on logarithms; the standard error of a kind
+    Weights are by DerSimonian and Laird (1986) on logarithms; the standard error of a kind
     is the width of its interval.
 
     Args:
@@ -234,7 +234,7 @@ def problems_needed(own: Sequence[float], other: Sequence[float], level: float) 
 
 
 def problems_for_width(own: Sequence[float], other: Sequence[float], level: float) -> int:
-    """Return the number of problems with which bounds differ from the estimate by WIDEST_FACTOR.
+    """Return how many problems give bounds that differ from the estimate by WIDEST_FACTOR.
 
     Args: see `problems_needed`.
     """
@@ -245,8 +245,8 @@ def problems_for_width(own: Sequence[float], other: Sequence[float], level: floa
 def _ratio_and_spread(own: Sequence[float], other: Sequence[float]) -> tuple[float, float]:
     """Return the ratio of means, and the standard deviation of its logarithm for one problem.
 
-    The standard error of log(mean(own) / mean(other)) is that of the mean of
-    (own - ratio other) / mean(own), the delta method.
+    By the delta method, log(mean(own) / mean(other)) has the standard error of the mean of
+    (own - ratio other) / mean(own).
     """
     ours, theirs = np.array(own, dtype=float), np.array(other, dtype=float)
     ratio = float(ours.mean() / theirs.mean())

@@ -9,7 +9,7 @@ from typing import Any, Literal
 PUBLISHED = Path(__file__).resolve().parent / "published"
 CBIRRT, UNIFORM, CVQ, OPT = "ompl-projected", "ompl-uniform", "ompl-cvq", "ompl-opt-cvq"
 SEARCHES = (CBIRRT, "atlas-rrt", "tb-rrt")
-# planners of the paper's tables, and those that run its experiment
+# planners of the paper's tables, and planners that run its experiment
 IN_OMPL = {"cvq-mpt": CVQ, "opt-cvq-mpt": OPT, "mpnet": "ompl-mpnet"}
 
 

@@ -151,7 +151,7 @@ def rows_of_one_suite(rows: Iterable[ResultRow]) -> list[ResultRow]:
 
 
 def by_planner(rows: Rows, published: Iterable[PublishedValue]) -> dict[str, list[ResultRow]]:
-    """Return rows by planner (and backend if there are several), those of the paper first."""
+    """Return rows by planner (and backend if there are several), the paper's planners first."""
     groups = grouped([((row.planner, row.backend), row) for row in rows])
     planners, paper = [planner for planner, _ in groups], [value.planner for value in published]
     places = {planner: paper.index(planner) for planner in {*planners} & {*paper}}

@@ -1,7 +1,7 @@
 """The main comparisons of cost again, with transformers that were trained from other seeds.
 
 A results directory ``NAME-training-K`` has rows of a transformer that was trained with seed K. The
-baselines use no transformer, so their rows are those of the directory NAME.
+baselines use no transformer, so their rows are in the directory NAME.
 """
 
 from collections.abc import Mapping
@@ -13,7 +13,7 @@ from cvqmpt_lab.paper_tables.claims import Evidence, comparisons
 from cvqmpt_lab.paper_tables.statements import CBIRRT, CVQ, OPT, UNIFORM, Claim
 from cvqmpt_lab.paper_tables.writers import Lines, estimate
 
-SEEDS = (0, 1, 2)  # of the trainings; the first is that of the shipped transformer
+SEEDS = (0, 1, 2)  # of the trainings; the shipped transformer has the first
 SUITES = {  # results directories of the main comparisons, and their problems in words
     "place-task-ompl": "place task",
     "place-task-published": "place task in the published direction",

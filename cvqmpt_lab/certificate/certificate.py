@@ -1,4 +1,4 @@
-"""The certificate of a path: an independent check of every state, also between those of the path.
+"""The certificate of a path: an independent check of all states, also between waypoints.
 
 It uses no compiled function of the planners: pinocchio computes poses, coal distances.
 """
@@ -138,7 +138,7 @@ class Certificate:
 
     @property
     def constraint_gap(self) -> str:
-        """What is not proven of a constraint without a bound, in words; "" if all is proven."""
+        """Says at how many states a constraint without a bound was checked; "" if all is proven."""
         if not self.constraint_states:
             return ""
         return f"constraint checked at {self.constraint_states} states, not proven between"
@@ -169,7 +169,7 @@ def certify(
     Args:
         problem: start, goals, constraint, robot and scene.
         path: straight joint motions between states.
-        checker: the exact checker; None: that of the problem.
+        checker: the exact checker; None: the problem's checker.
         exact_clearance: whether the least distances and the tolerated deviation are computed;
             this takes two to three times as long. Else the clearances are lower bounds, which
             the proof of the motion shows anyway.
@@ -281,7 +281,7 @@ def deviation_tolerated(
     for region, arm in zip(regions, arms, strict=True):
         radians, metres = least_slack(robot, (region,), states, CHECK_SPACING_RAD)
         moved, turned = min(moved, metres), min(turned, radians)
-        # a region between links moves with both, and as far from either one as the arms reach
+        # both links of a relative region move, so its lever is twice the reach
         links = 2 if isinstance(region, TaskSpaceRegionChain) else 1
         lever = arm if links == 1 else 2.0 * (robot.reach + arm)
         share = 0.5 if lever > 0.0 else 1.0  # the other half is for what turns through the lever
@@ -319,7 +319,7 @@ def _clearance(
         least: least distance on the straight pieces, or None if it was not measured.
         kept: distance that every state on the straight pieces keeps [m], see `MotionProof`.
         proven_m: distance that is proven of every state in addition [m].
-        apart_m: largest distance of the motion's points from those of the straight pieces [m].
+        apart_m: largest distance of robot points in the motion from the straight pieces [m].
     """
     if least is None:
         proven = max(kept - apart_m, proven_m)

@@ -146,7 +146,7 @@ class _Effort(NamedTuple):
     """How finely a motion is cut into stretches; lengths are half of a stretch's."""
 
     longest: float = 0.2  # length of the first stretches [rad]
-    finest: float = 1e-7  # length at which a stretch with a free middle is not cut further [rad]
+    finest: float = 1e-7  # a stretch with a free middle is not cut below this length [rad]
     coarse: float = 1e-4  # replaces `finest` after an unproven stretch or `max_fine_checks` [rad]
     doubtful: float = 0.01  # from here on, an unproven stretch's middle is checked [rad]
     # Limit on checks of stretches shorter than `coarse`, about 0.2 s. Without it, a motion

@@ -22,7 +22,7 @@ def carried_pairs(robot: Robot, attachments: Sequence[Attachment]) -> list[tuple
 
 
 def pairs_of_carried(robot: Robot, attachments: Sequence[Attachment]) -> list[tuple[int, int]]:
-    """Pairs of attachments to check, without those that a hand of the other one holds, too."""
+    """Pairs of attachments to check: neither is carried by a hand that also holds the other."""
     holding = _holding(robot, attachments)
     return [
         (k, m)

@@ -260,8 +260,9 @@ def _to_body(robot, piece, ball, other, pose, rate, margin, advance):
 
 
 @kernel(inline="source")
-def _between_bodies(r, t, robot, a, b, xa, ya, za, rate, margin, advance):
-    """Advance of bodies a and b against each other; xa, ya, za [m]: centre of a's largest ball."""
+def _between_bodies(r, t, robot, a, b, centre, rate, margin, advance):
+    """Advance of bodies a and b against each other; centre: of a's largest ball (x, y, z) [m]."""
+    xa, ya, za = centre
     la, lb = robot.body_link[a], robot.body_link[b]
     node, end, root = robot.body_start[a], robot.body_start[a + 1], robot.body_start[b]
     xb, yb, zb = _placed(r, t, lb, robot.sphere, root)
@@ -279,8 +280,8 @@ def _between_bodies(r, t, robot, a, b, xa, ya, za, rate, margin, advance):
             continue
         piece = robot.leaf[node]
         if piece >= 0:
-            centre = robot.sphere[node, 0], robot.sphere[node, 1], robot.sphere[node, 2]
-            ball = centre + (robot.sphere[node, 3],)
+            small = robot.sphere[node, 0], robot.sphere[node, 1], robot.sphere[node, 2]
+            ball = small + (robot.sphere[node, 3],)
             advance = _to_body(robot, piece, ball, b, pose, rate, margin, advance)
             if advance < 0.0:
                 return CONTACT
@@ -325,18 +326,18 @@ def safe_advance(link_rotation, link_translation, robot, scene, margin, motion, 
         if advance < 0.0:
             return CONTACT
     placed = -1
-    x = y = z = 0.0
+    centre = 0.0, 0.0, 0.0
     for k in range(robot.pairs.shape[0]):
         a, b = robot.pairs[k, 0], robot.pairs[k, 1]
         if a != placed:
             placed, link = a, robot.body_link[a]
-            x, y, z = _placed(
+            centre = _placed(
                 link_rotation, link_translation, link, robot.sphere, robot.body_start[a]
             )
         if advance > 0.0:
             rate = _rate(robot.pair_swing[k], motion)
         advance = _between_bodies(
-            link_rotation, link_translation, robot, a, b, x, y, z, rate, margin, advance
+            link_rotation, link_translation, robot, a, b, centre, rate, margin, advance
         )
         if advance < 0.0:
             return CONTACT

@@ -13,7 +13,7 @@ from cvqmpt_lab.base.convex import convex_hull, halves
 from cvqmpt_lab.base.jit import entry
 
 PIECE_RADIUS_M = 0.095  # of the largest ball around a piece: smaller than GRID_REACH_M
-# added to the radius of every ball: more than `convex_hull` loses of flat sets, and than rounding
+# added to the radius of every ball: exceeds rounding and the errors of `convex_hull` on flat sets
 BALL_SLACK_M = 1e-8
 
 
@@ -82,12 +82,12 @@ def enclosing_sphere(points: np.ndarray) -> tuple[np.ndarray, float]:
 
 
 def cut_into_pieces(points: np.ndarray, small: float = 0.08, few: int = 8) -> list[np.ndarray]:
-    """Cut the hull of points (n, 3) [m] into convex pieces whose union it is.
+    """Cut the hull of points (n, 3) [m] into convex pieces that fill it.
 
     Args:
         points: (n, 3) [m].
         small: radius of a ball around a piece that is not cut further [m].
-        few: number of pieces from which on only those with balls above PIECE_RADIUS_M are cut.
+        few: from this many pieces on, only pieces with balls above PIECE_RADIUS_M are cut.
 
     Returns:
         Corners (k, 3) of each piece [m].

@@ -112,7 +112,7 @@ def _lower(best, x, yz, inflation):
 
 @kernel
 def _add_straight(bounds, i, grid, matters, work):
-    """Lower the distances of a block's cells to those from an axis-aligned box; list the box.
+    """Lower the distances of a block's cells by an axis-aligned box; list the box.
 
     matters: False when no distance of the block can be lowered.
     """
@@ -140,7 +140,7 @@ def _add_straight(bounds, i, grid, matters, work):
 
 @kernel
 def _add_turned(bounds, i, grid, work):
-    """Lower the distances of a block's cells to those from a turned box; list the box."""
+    """Lower the distances of a block's cells by a turned box; list the box."""
     edge, corner, upper, best = grid.cell, work.corner, work.upper, work.best
     for s in range(BLOCK_LISTS**3):
         lx, ly, lz = 2 * (s >> 4), 2 * (s >> 2 & 3), 2 * (s & 3)
@@ -187,7 +187,7 @@ class Work(NamedTuple):
     corner: Annotated[np.ndarray, "3"]  # Of the block [m]
     # Squared distances of a box from cells along each axis [m^2]
     gaps: Annotated[np.ndarray, "3 8"]
-    yz: Annotated[np.ndarray, "64"]  # Sums of those along y and z
+    yz: Annotated[np.ndarray, "64"]  # Sums of the gaps along y and z
     best: Annotated[np.ndarray, "8 64"]  # Distances of the cells [m]
     # Upper bound on the distances of each list block's cells [m]
     upper: Annotated[np.ndarray, "64"]
@@ -199,7 +199,7 @@ class Work(NamedTuple):
 
 @kernel
 def _add_all(bounds, grid, kept, near, n, work):
-    """Lower the distances of a block to those from n obstacles, and list these."""
+    """Lower the distances of a block's cells by n obstacles, and list these."""
     work.best[:], work.upper[:], work.counts[:] = GRID_RANGE_M, GRID_RANGE_M, 0
     farthest = GRID_RANGE_M
     for k in range(n):

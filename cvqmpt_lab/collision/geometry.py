@@ -134,8 +134,8 @@ def robot_geometry(
 
     Args:
         specs: geometries, posed in their links.
-        link: pose row of each; those of link 0, fixed to the world, are not checked against
-            obstacles.
+        link: pose row of each; geometries of link 0, which is fixed to the world, are not checked
+            against obstacles.
         pairs: geometries to check against each other.
         whole: geometries that are not cut: one ball around each, which is checked exactly more
             often, instead of thousands.
@@ -169,7 +169,7 @@ def robot_geometry(
 def _bodies(
     link: Sequence[int], pairs: Sequence[tuple[int, int]], self_only: Collection[int]
 ) -> tuple[list[list[int]], list[tuple[int, int]]]:
-    """Group geometries by link and by what they are checked against.
+    """Group geometries by link and by their check partners.
 
     Returns:
         Geometries of each group, and the pairs of groups to check.

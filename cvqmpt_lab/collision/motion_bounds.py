@@ -22,7 +22,7 @@ class Sweep:
 
     def __init__(self, robot: Robot, geometry: pin.GeometryModel, links: Sequence[int]) -> None:
         self.frames = joint_frames(robot)
-        # bounds are of all joints' values: those of joints that mimic others are linear in q
+        # bounds cover all joints; values of mimic joints are linear in q
         self._kinematics = robot.kinematics
         objects, joints = geometry.geometryObjects, robot.model.njoints
         support = np.zeros((joints, robot.model.nv), dtype=bool)
@@ -80,7 +80,7 @@ class Sweep:
         before j, d/dq_i turns the vector axis_j x (x - origin_j), whose length is at most s_j.
         Sliders do not turn: they are left out of the inner sum. s_j grows as joints after j move.
 
-        n counts all joints, those that mimic others included.
+        n counts all joints, mimic joints included.
 
         Args:
             links: (l,), joint ids.

@@ -32,10 +32,9 @@ def bound_between(
 
     Returns:
         The bound (m - 1,) [m, rad], and whether it is linear in the length of the stretch (m - 1,):
-        where the rotation vector may change its sign, the tilt comes close to pi, or one of the
-        other three to a place where it is not smooth.
+        near singularities: rotation angle pi, tilt pi, distance, radius or bearing 0.
     """
-    # of all joints: those that mimic others turn links, too
+    # of all joints: mimic joints turn links, too
     change = np.abs(np.diff(robot.kinematics.joint_values(q), axis=0))
     rows = region.bounded_rows
     slides = robot.kinematics.prismatic

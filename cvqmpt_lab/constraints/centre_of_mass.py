@@ -83,7 +83,7 @@ class BalancedRobot(BoundedRows):
     def compiled(self) -> FunctionRows:
         """The products as machine code; parameters: see `_centre_above`."""
         m, k = self.masses.shares, self.robot.kinematics
-        # pinocchio's axes of a joint are turned against those of compiled code
+        # pinocchio's joint axes are turned against the axes of compiled code
         frames = np.array(axis_frames(self.robot.model))
         turned = np.einsum("pji,pj->pi", frames, self.masses.centres)
         joints = np.column_stack([k.entry, k.multiplier, k.prismatic, k.moves])

@@ -1,4 +1,4 @@
-"""Checks of a constraint of the user's own, before it is used: one line says what is wrong."""
+"""Checks of a user's constraint before it is used; an error is one line."""
 
 import contextlib
 import io

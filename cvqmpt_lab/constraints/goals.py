@@ -35,8 +35,10 @@ from cvqmpt_lab.constraints.reach_free import (
     COLLIDING_POSE,
     UNREACHABLE_POSE,
     UNTRIED_POSE,
+    Attempts,
     Poses,
     Seeds,
+    Stopping,
     reach_free,
 )
 from cvqmpt_lab.constraints.region_constraint import (
@@ -228,7 +230,7 @@ def sample_region(
     while len(found) < count and tried < max_poses:
         poses = region.poses_or_frame(rng, min(POSES_AT_ONCE, max_poses - tried))
         guesses = first_guesses(robot, rng, len(poses), near)
-        # as many poses at once as configurations are wanted: no more than needed are solved
+        # `count` poses at a time, so that few are solved in vain
         few = (slice(first, first + count) for first in range(0, len(poses), count))
         for candidates in (
             one
@@ -254,7 +256,7 @@ def sample_region(
 def _others(
     robot: Robot, candidates: np.ndarray, found: Sequence[np.ndarray], distinct: float
 ) -> np.ndarray:
-    """Return those of candidates (k, n) that differ from all found by `distinct` in a joint."""
+    """Return the candidates (k, n) that differ from all found by `distinct` in a joint."""
     apart = candidates[:, None] - np.array(found).reshape(-1, robot.dof)
     apart = np.where(robot.turns_freely, nearest_turn(apart, 0.0), apart)
     return candidates[(np.abs(apart).max(axis=-1, initial=0.0) >= distinct).all(axis=-1)]
@@ -322,13 +324,13 @@ def sample_goals(
         robot_arrays(robot, problem.carried),
         scene_arrays(problem.scene, reach_with(robot, problem.carried), problem.clearance),
         SAMPLE_MARGIN_M,
-        seeds,
-        rng.integers(len(seeds.configurations) - look + 1, size=(POSE_ATTEMPTS, max_poses)),
-        look,
-        POSE_TOLERANCE,
-        POSE_STEPS,
+        Attempts(
+            seeds,
+            rng.integers(len(seeds.configurations) - look + 1, size=(POSE_ATTEMPTS, max_poses)),
+            look,
+        ),
         # from a given posture, or along limits and bounds, progress may be slow
-        near is None and not project,
+        Stopping(POSE_TOLERANCE, POSE_STEPS, on_stall=near is None and not project),
         projection_scratch(robot.kinematics, regions),
         count,
         poses,
@@ -431,7 +433,7 @@ def _other_turns(robot: Robot, goals: np.ndarray) -> np.ndarray:
 
 
 def draw_goals(problem: GoalProblem) -> GoalSample:
-    """Draw goals from a problem's goal region, those near the start first.
+    """Draw goals from a problem's goal region, goals near the start first.
 
     The start itself is the only goal where the region contains it. Goals depend on the problem's
     start, not on a seed: all planners get the same. Where the hand holds a door, goals have the
@@ -495,7 +497,7 @@ def _reached(
         scene: obstacles.
         regions: the first one is moved to each pose.
         T: poses (k, 4, 4) [m].
-        seeds: configurations (n,) [rad or m]; that with the hand nearest to the pose is taken.
+        seeds: configurations (n,) [rad or m]; the one with the hand nearest to the pose is taken.
     """
     robot = problem.robot
     assert problem.goal_region is not None
@@ -506,13 +508,13 @@ def _reached(
         arm,
         scene,
         SAMPLE_MARGIN_M,
-        _seeds(robot, np.array(seeds), problem.goal_region.end_effector),
-        # one attempt: Newton's method from the same seed ends the same way again
-        np.zeros((1, len(T)), dtype=np.int64),
-        len(seeds),
-        POSE_TOLERANCE,
-        5 * POSE_STEPS,
-        False,
+        Attempts(
+            _seeds(robot, np.array(seeds), problem.goal_region.end_effector),
+            # one attempt: Newton's method from the same seed ends the same way again
+            np.zeros((1, len(T)), dtype=np.int64),
+            len(seeds),
+        ),
+        Stopping(POSE_TOLERANCE, 5 * POSE_STEPS, on_stall=False),
         projection_scratch(robot.kinematics, regions),
         len(T),
         poses,
@@ -522,7 +524,7 @@ def _reached(
 
 
 def goals_in_any_posture(problem: GoalProblem, count: int = MAX_GOALS) -> GoalSample:
-    """Draw goals from random seeds, whatever their distance from the start, see `draw_goals`.
+    """Draw goals from random seeds, at any distance from the start, see `draw_goals`.
 
     Suites whose problems have given goals take these.
     """
@@ -533,7 +535,7 @@ def goals_in_any_posture(problem: GoalProblem, count: int = MAX_GOALS) -> GoalSa
     sampled = partial(sample_goals, problem, rng, count, near=near)
     drawn = None
     if problem.closed_chain:
-        # few postures of two hands come near to that of the start
+        # few postures of two hands come near the start's posture
         sampled = partial(_near_and_far, problem, rng, count)
     if not only_projected(problem.robot, region):
         drawn = sampled(within=held)
@@ -554,7 +556,7 @@ def _near_and_far(
 
 
 def on_manifold(problem: GoalProblem, states: np.ndarray) -> np.ndarray:
-    """Return those of states (k, n) that satisfy the constraint; all, if none does.
+    """Return the states (k, n) that satisfy the constraint; all, if none does.
 
     Then the check of goals can name the violated bound.
     """

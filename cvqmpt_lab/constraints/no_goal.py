@@ -77,7 +77,7 @@ def why_none(
 
 
 def other_axis(member: TaskSpaceRegion, T: np.ndarray) -> str:
-    """Return the axis to write if not that of `upright` is up at a pose T (4, 4), else ""."""
+    """Name of the hand axis that points up at T (4, 4), "" if it is the axis of `upright`."""
     up, wanted = upper_axis(T), upper_axis(member.T0_w @ member.Tw_e)
     if member.bounded_rows.tolist() not in ([6], [3, 4]) or up == wanted:
         return ""
@@ -217,7 +217,7 @@ def _nearest_turned(
     starts: int = 6,
     steps: int = 100,
 ) -> str:
-    """Return the pose that is turned least among those found, as text to type; "" if none is.
+    """Nearest reachable orientation, formatted as a command-line value; "" if none is found.
 
     Random steps from the best configurations, each smaller than the last that failed, are projected
     and kept if they turn the hand less.

@@ -37,6 +37,24 @@ class Poses(NamedTuple):
     reached: Annotated[np.ndarray, "int64 count"]  # numbers of the poses reached, in that order
 
 
+class Attempts(NamedTuple):
+    """Where Newton's method starts for each pose."""
+
+    seeds: Seeds
+    # an attempt starts from the best of `look` seeds from number firsts[attempt, pose] on; a
+    # multiple of VISIT attempts a pose
+    firsts: Annotated[np.ndarray, "int64 attempts count"]
+    look: int
+
+
+class Stopping(NamedTuple):
+    """When Newton's method ends."""
+
+    tolerance: float  # on the pose [m, rad]
+    max_iterations: int
+    on_stall: bool  # give up attempts that stall
+
+
 @kernel(inline="source")
 def _nearest_seed(seeds, first, look, rotation, translation):
     """The one of `look` seeds from the first whose hand pose (R_k, t_k) is nearest to (R, t).
@@ -65,12 +83,8 @@ def reach_free(
     robot: RobotGeometry,
     scene: SceneGeometry,
     margin: float,
-    seeds: Seeds,
-    firsts: Annotated[np.ndarray, "int64 attempts count"],
-    look: int,
-    tolerance: float,
-    max_iterations: int,
-    stop_on_stall: bool,
+    starts: Attempts,
+    stopping: Stopping,
     scratch: ProjectionScratch,
     wanted: int,
     poses: Poses,
@@ -83,13 +97,8 @@ def reach_free(
         robot: pieces of the robot.
         scene: obstacles.
         margin: to be kept from obstacles [m].
-        seeds: configurations that Newton's method starts from.
-        firsts: an attempt starts from the best of `look` seeds from number firsts[attempt, pose]
-            on; a multiple of VISIT attempts a pose.
-        look: see `firsts`.
-        tolerance: on the pose [m, rad].
-        max_iterations: of Newton's method.
-        stop_on_stall: attempts that stall are given up.
+        starts: configurations that Newton's method starts from.
+        stopping: when it ends.
         scratch: work arrays.
         wanted: number of configurations.
         poses: configurations and verdicts are written.
@@ -97,6 +106,8 @@ def reach_free(
     Returns:
         Number of poses reached.
     """
+    seeds, firsts, look = starts
+    tolerance, max_iterations, stop_on_stall = stopping
     found = 0
     for i in range(poses.verdict.shape[0]):
         poses.verdict[i] = UNTRIED_POSE

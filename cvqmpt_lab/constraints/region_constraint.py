@@ -167,7 +167,7 @@ class JumpingConstraint(RegionConstraint):
     """Regions as the published code constrains them: F jumps at the bounds.
 
     F_i(q) = x_i - c_i outside the bounds of row i with their centre c_i, and 0 inside. The set
-    F = 0 is that of `RegionConstraint`, but Newton's method aims at the centre and stops at the
+    F = 0 is `RegionConstraint`'s, but Newton's method aims at the centre and stops at the
     first state inside the bounds. A row with one bound has no centre: c_i is that bound. Only
     OMPL's planners project so; others end at the bounds.
     """

@@ -84,7 +84,7 @@ def log_map_factor(e):
 class Regions(NamedTuple):
     """k stacked regions and some functions with m bounded rows in all.
 
-    Rows are sorted by region, then axis; those of functions follow, in order. For a function at an
+    Rows are sorted by region, then axis; rows of functions follow, in order. For a function at an
     address see `FunctionRows`.
     """
 

@@ -133,7 +133,7 @@ class TaskSpaceRegion(Checked):
     Bw: Bounds
     # upper bound of the tilt [rad], a cone; None, or pi and more, leaves it free
     tilt: Angle | None = field(default=None, kw_only=True)
-    # lower and upper bound of the distance of the displaced origin from that of w [m]; None: free
+    # lower and upper bound of the displaced origin's distance from w's origin [m]; None: free
     distance: Span | None = field(default=None, kw_only=True)
     # lower and upper bound of its distance from the z axis of w [m]; None: free
     radius: Span | None = field(default=None, kw_only=True)
@@ -166,7 +166,7 @@ class TaskSpaceRegion(Checked):
         object.__setattr__(self, "tilt", None)
 
     def links(self, robot: Robot) -> tuple[tuple[int, np.ndarray], tuple[int, np.ndarray]]:
-        """Return the pose row that carries w (0 = the world) with T_link_w (4, 4), and those of e.
+        """Return pose row (0 = the world) and T_link_w (4, 4) of w, and the same of e.
 
         InvalidInputError or UnknownChoiceError: the robot has no such frames.
         """

@@ -13,7 +13,7 @@ ENTRY_POINT_GROUP = "cvqmpt.planners"
 
 
 def is_external(name: str) -> bool:
-    """Return whether the name has the form ``module:planner`` or is that of an entry point."""
+    """Return whether the name has the form ``module:planner`` or names an entry point."""
     return ":" in name or name in entry_point_names()
 
 

@@ -136,7 +136,7 @@ class PlannerProcess:
             raise NoReply(f"its reply cannot be read: {one_line(str(error))}") from error
 
     def stop(self) -> None:
-        """End the process and all that it has started."""
+        """End the process and its child processes."""
         if self._process is not None:
             self._end()
             self._process = None
@@ -161,7 +161,7 @@ class PlannerProcess:
                 left = min(left, began + seconds - time.perf_counter())
             if left <= 0.0:
                 raise NoReply("interrupted", late=True)
-            # before reading, so that all is read that it wrote before it ended
+            # test for exit first, then drain the pipe: its last message is not lost
             ended = self._process.poll() is not None
             if self._connection in wait((self._connection, *self._output()), left):
                 part = self._connection.recv(2**20)
@@ -214,7 +214,7 @@ class PlannerProcess:
         return f"its process was ended by {signal.Signals(-code).name}{cause}"
 
     def _signal(self, name: str) -> None:
-        """Send a signal to the process and all that it has started; only on Linux."""
+        """Send a signal to the process and its child processes; only on Linux."""
         if sys.platform == "linux" and self._process is not None:
             with contextlib.suppress(ProcessLookupError):
                 os.killpg(self._process.pid, signal.Signals[name])

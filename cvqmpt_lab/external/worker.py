@@ -1,4 +1,4 @@
-"""Program of an external planner's process, in which alone the planner is imported and called.
+"""Program of an external planner's process; only here the planner is imported and called.
 
 Messages from the calling process are pickled: ("make", name, module, attribute),
 ("hand_over", problem) and ("plan", budget, seed); the first word is the name of a method of

@@ -32,7 +32,7 @@ class Load(NamedTuple):
 
 
 def loaded_model(robot: Robot, loads: Iterable[Load]) -> pin.Model:
-    """Return a robot's model whose links have the masses of what they carry."""
+    """Return a robot's model with the load's mass added to the links that carry it."""
     model = robot.model.copy()
     for load in loads:
         name = load.end_effector or robot.end_effector
@@ -47,7 +47,7 @@ def loaded_model(robot: Robot, loads: Iterable[Load]) -> pin.Model:
 class Dynamics:
     """Rigid-body model of an arm; its loads are parts of the links that carry them.
 
-    The effort of a planned joint is that of its motor, which also moves the joints that mimic it.
+    The effort of a planned joint is its motor's, which also moves the joints that mimic it.
     """
 
     model: pin.Model
@@ -172,7 +172,7 @@ def without_effort_limit(robot: Robot) -> str:
 
 
 def _product(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Return bounds of a product and its derivatives (k, ...) from those of both factors."""
+    """Return bounds of a product and its derivatives (k, ...) from its factors' bounds."""
     return np.array(
         [sum(comb(k, m) * x[m] * y[k - m] for m in range(k + 1)) for k in range(len(x))]
     )

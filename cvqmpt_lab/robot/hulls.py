@@ -175,7 +175,7 @@ def hull_vertices(shape: coal.CollisionGeometry) -> np.ndarray:
 
 
 def enclosing_points(shape: coal.CollisionGeometry) -> np.ndarray:
-    """Return points (n, 3) [m] whose hull contains a shape: a polytope's, else those of its box."""
+    """Return points (n, 3) [m] whose hull contains a shape: its vertices, or corners of its box."""
     if isinstance(shape, coal.ConvexBase):
         return hull_vertices(shape)
     shape.computeLocalAABB()
@@ -213,7 +213,7 @@ def left_out_pairs(
     srdf: str,
     sampling: _Sampling = _USUAL,
 ) -> tuple[LeftOut, ...]:
-    """Return the link pairs that are not checked: those of an SRDF, else by the rule at the top.
+    """Return the link pairs that are not checked: from an SRDF, else by the rule at the top.
 
     Args:
         model: pinocchio's model of the joints.

@@ -15,7 +15,7 @@ from cvqmpt_lab.robot.robot import Robot
 class JointFrames:
     """Forward kinematics of a pinocchio model of hinges and sliders.
 
-    Frames are pinocchio's: frame 0 is the world's, frame j + 1 that of joint j.
+    Frames are pinocchio's: frame 0 is the world, frame j + 1 belongs to joint j.
     """
 
     def __init__(self, model: pin.Model) -> None:
@@ -45,7 +45,7 @@ class JointFrames:
     def poses(self, values: np.ndarray) -> np.ndarray:
         """Return T_world_frame (joints + 1, k, 4, 4) of all frames [m].
 
-        values: (k, joints), of all joints, those that mimic others included [rad or m].
+        values: (k, joints), of all joints, mimic joints included [rad or m].
         """
         weights = np.ones((*values.T.shape, 3))
         weights[..., 1] = np.where(self.hinges, np.sin(values), values).T

@@ -61,7 +61,7 @@ def narrow_positions(model: pin.Model, limits: Limits, planned: Sequence[str]) -
 def limits_with(
     kind: str, known: np.ndarray | None, limits: Limits, names: Sequence[str]
 ) -> np.ndarray | None:
-    """Return the limits (n,) of a kind: those of the file, and known ones of other joints.
+    """Return the limits (n,) of a kind: from the file, else the known ones.
 
     Args:
         kind: "velocity", "acceleration", "jerk" or "effort".

@@ -37,12 +37,12 @@ class Follower(NamedTuple):
 
     name: str
     leader: str  # the planned joint; in chains of joints that mimic others, the first one
-    multiplier: float  # product of those of a chain
+    multiplier: float  # product along a chain of mimic joints
     offset: float  # [rad or m]
 
 
 class LeftOut(NamedTuple):
-    """Pair of links, or of a link and a piece of a door, that is not checked; and the reason.
+    """Unchecked pair of links, or of a link and a piece of a door; and the reason.
 
     Reasons: "SRDF: " and the reason in the SRDF; "fixed to each other"; "also held by" (a load and
     a second hand); "adjacent" (one joint between them); "overlap in N % of random states" (the
@@ -308,7 +308,7 @@ class Robot:
         return frozen(self.turns_freely & (self.upper - self.lower > 2.0 * np.pi))
 
     def unit_of(self, joint: int, unit: str) -> str:
-        """Return the unit of a planned joint for that of a hinge: m/s of a slider for rad/s."""
+        """Replace rad by m (and Nm by N) in a unit if the joint is prismatic."""
         slides = self.kinematics.prismatic[self.kinematics.order[joint]]
         return unit.replace("Nm", "N").replace("rad", "m") if slides else unit
 

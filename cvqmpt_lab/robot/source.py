@@ -47,7 +47,7 @@ class RobotSource:
     srdf: str = ""
     # values of the joints that are held [rad or m]
     locked: Mapping[str, float] = field(default_factory=dict)
-    # (n,), or () for all joints [rad/s or m/s]; None: those of the URDF
+    # (n,), or () for all joints [rad/s or m/s]; None: limits of the URDF
     velocity_limits: Annotated[FloatArray, PerJoint()] | None = None
     # (n,), or () for all joints [rad/s^2 or m/s^2]
     acceleration_limits: Annotated[FloatArray, PerJoint()] | None = None
@@ -199,7 +199,7 @@ def _of_descriptions(given: RobotSource) -> RobotSource:
 
 
 def _of_arm(given: RobotSource) -> RobotSource:
-    """Return the source of a named arm; fields of `given` replace those of `ARMS`."""
+    """Return the source of a named arm; fields of `given` override `ARMS`."""
     ros_package = ARMS_IN_ROS_PACKAGES.get(given.name.lower().replace("-", "").replace("_", ""))
     if ros_package is not None:
         raise InvalidInputError(
@@ -285,7 +285,7 @@ def _single_arms() -> dict[str, RobotSource]:
 
 
 # Arms with a fixed base (legs are held); paths are relative to the folder of `example_robots`.
-# Velocity and effort limits are those of the URDF. Only the Panda has published limits of
+# Velocity and effort limits come from the URDF. Only the Panda has published limits of
 # acceleration and jerk. Left out: alex (no commercial use), icub (velocity limits of 100 rad/s),
 # centauro (a mesh without a convex hull), arms of humanoids without collision bodies at the hand.
 ARMS: Mapping[str, RobotSource] = {

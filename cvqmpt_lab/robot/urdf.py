@@ -268,7 +268,7 @@ def _listed(names: Sequence[str], most: int = 8) -> str:
 def held_joints(
     urdf: Urdf, end_effectors: Sequence[str], locked: Mapping[str, float], base_given: bool
 ) -> tuple[tuple[HeldJoint, ...], tuple[Follower, ...]]:
-    """Return the joints that planning does not move, and those that follow a planned joint.
+    """Return the joints that planning does not move, and the joints that follow a planned one.
 
     Planned are the joints of the chains from the base to the end effectors, and the joints that
     those mimic. Locked joints and all others are held.

@@ -135,7 +135,7 @@ def _unknown_parts(
 
 
 def _is_body(body: ElementTree.Element, where: str, thinnest: float = 1e-4) -> bool:
-    """Check a body and return whether it is one; a placeholder is empty or of size 0.
+    """Check a body; return False for a placeholder, which is empty or of size 0.
 
     A length of 0 beside others becomes `thinnest` [m]: solids need a volume.
     """
@@ -147,7 +147,7 @@ def _is_body(body: ElementTree.Element, where: str, thinnest: float = 1e-4) -> b
     )
     with located(where):
         for part in body:
-            if ":" not in part.tag:  # parts with a namespace are those of simulators
+            if ":" not in part.tag:  # simulators' parts have a namespace
                 require_choice("part", part.tag, parts)
         shapes = [shape for geometry in body.findall("geometry") for shape in geometry]
         if not shapes:

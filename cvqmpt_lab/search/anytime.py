@@ -277,7 +277,7 @@ class InformedSamples:
 
 @dataclass(frozen=True, eq=False)
 class InformedFirst:
-    """Samples of another distribution, those in the informed set first."""
+    """Samples of another distribution; samples in the informed set come first."""
 
     base: SamplingDistribution
     start: np.ndarray  # (n,) [rad or m]
@@ -316,7 +316,7 @@ class NearShortestSettings:
     """Limits of the work of `near_shortest`."""
 
     restarts: int = 12  # number of searches after the first path
-    first: int = 1500  # iterations of the first search, which is made up to twice
+    first: int = 1500  # iterations of the first search, made at most twice
     later: int = 200  # iterations of each restart
     finish: int = 512  # number of shortcuts that are tried on the best path at the end
 

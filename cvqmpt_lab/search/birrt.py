@@ -339,7 +339,7 @@ class GrowingTrees:
         self._drawn = np.empty((0, len(query.start)))  # draws; `grow` makes samples of them
         self._next = 0  # row of the next draw
         self._batch = 16  # number of draws that are made next
-        self._draws = self._used = 0  # number of draws, and of those that became samples
+        self._draws = self._used = 0  # number of draws, and of draws that became samples
 
     @property
     def warning(self) -> str:

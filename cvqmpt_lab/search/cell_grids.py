@@ -212,14 +212,14 @@ def empty_grids(space: ConstrainedSpace, rng: np.random.Generator, cells: int = 
 def free_rows(space: ConstrainedSpace, wide: float = 1.0) -> np.ndarray:
     """Return region and axis (free, 2) of rows with bounds more than `wide` apart [m, rad].
 
-    Unbounded rows are among them. Axes are those of `TaskSpaceRegion.Bw`: positions 0 to 2,
+    Unbounded rows are among them. Axes are as in `TaskSpaceRegion.Bw`: positions 0 to 2,
     rotation vector 3 to 5.
     """
     if space.constraint is None:
         return np.empty((0, 2), dtype=np.int64)
     regions = space.constraint.inner_regions()
     width = np.full((len(regions.link), 10), np.inf)
-    rows = regions.axis >= 0  # not those of functions
+    rows = regions.axis >= 0  # without rows of functions
     width[regions.region[rows], regions.axis[rows]] = (regions.upper - regions.lower)[rows]
     # compiled code needs rows that lie one after the other in memory
     return np.ascontiguousarray(np.argwhere(width[:, :6] > wide))

@@ -6,7 +6,7 @@
         if T_b has nodes in the cells of the last state, try a direct motion to the nearest of them
         Swap(T_a, T_b)
 
-Cells are those of `cell_grids`. Motions between nodes are checked finely when they are made, so a
+Cells are defined in `cell_grids`. Motions between nodes are checked finely when they are made, so a
 path through both trees is a solution.
 """
 

@@ -31,7 +31,7 @@ class EdgeCosts(NamedTuple):
     slope: float = 164.01773114271577  # [1/m]
     bias: float = 6.477892406232406  # log odds at clearance 0
     weight: float = 4.0  # [rad]; 0: the cost of a motion is its length
-    # between the states whose clearances are read [rad]; at most MAX_BISECTED_STEPS times as much
+    # spacing of states whose clearances are read [rad]; up to MAX_BISECTED_STEPS times as large
     spacing: float = 0.3
 
 

@@ -396,7 +396,7 @@ def blocked_segment(space: Space, states: Annotated[np.ndarray, "count n"], coun
     """
     finest = 5e-5  # [m] least way of a point between states that are checked
     longest = 0.4  # [m] largest sweep that is proven to both sides of a state
-    beyond = 2.5  # so many times the distance to what is proven is asked for
+    beyond = 2.5  # asked distance over the distance to the proven part
     if count < 2:
         return -1
     if space.exact:
@@ -407,7 +407,7 @@ def blocked_segment(space: Space, states: Annotated[np.ndarray, "count n"], coun
     if not left < np.inf:
         return 0
     shortest, half, done = max(space.margin, finest), 0.05, 0.0
-    # a later stretch that is proven too: the sweep after its begin and its end, and its end
+    # a stretch further on that is already proven: remaining sweep at its two ends, and its end
     ahead_begin, ahead_left, ahead_done = -np.inf, 0.0, 0.0
     while True:
         half = min(half, left)

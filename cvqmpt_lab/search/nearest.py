@@ -19,7 +19,7 @@ NODES_PER_LEAF = 16
 class NearestIndex(NamedTuple):
     """Balanced search trees over the nodes of two growing trees, and work arrays of a search."""
 
-    # node numbers; those of a leaf are neighbours
+    # node numbers; nodes of a leaf are neighbours
     order: Annotated[np.ndarray, "int32 2 capacity"]
     # lower and upper corner of the nodes below each inner node and leaf, heap by heap [rad or m]
     box: Annotated[np.ndarray, "2 boxes 2 n"]

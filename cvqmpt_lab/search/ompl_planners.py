@@ -3,13 +3,13 @@
 The paper ran all of its planners in OMPL's RRTConnect: its baselines with OMPL's samples, CVQ-MPT
 with samples of the network. OMPL's Python binding takes no sampler, but RRTConnect calls the
 termination condition once in each iteration, then draws a sample, which the projected space
-projects: so the first projection after a termination condition is that of the sample. There, a
+projects: so the first projection after a termination condition projects the sample. There, a
 sample of any distribution replaces it (`_Draws`).
 
 BKPIECE1 has cells over the free rows of the constraint.
 
 Only this file imports ompl. Projection, residual, Jacobian and state checks are the kernels that
-`birrt` uses; parameters are those of the published experiment code. Without a constraint, as in
+`birrt` uses; parameters are from the published experiment code. Without a constraint, as in
 some phases of tasks, all three baselines are RRTConnect in the joint space.
 """
 
@@ -55,7 +55,7 @@ class _Manifold(ob.Constraint):
 
     Args:
         space: the planning space.
-        draws: samples in place of those of OMPL; None: OMPL draws.
+        draws: samples that replace OMPL's; None: OMPL draws.
     """
 
     def __init__(self, space: ConstrainedSpace, draws: "_Draws | None" = None) -> None:
@@ -127,7 +127,7 @@ class _Draws:
     """
 
     def __init__(self, distribution: SamplingDistribution, query: Query, free: bool) -> None:
-        self.due = False  # whether the next projection is that of a sample
+        self.due = False  # whether the next projection projects a sample
         self.free = free  # whether samples in collision are drawn again
         self.count = self.replaced = 0  # number of samples, and of replaced ones
         self._distribution, self._query = distribution, query
@@ -372,10 +372,10 @@ def _state_spaces(space: ConstrainedSpace, manifold: str, draws: _Draws | None =
     """Return OMPL's state space with a step of OMPL_STEP_RAD, and its space information.
 
     Args:
-        space: the planning space. Without a constraint the states are those of the joint space,
-            but for draws, which need a projection.
+        space: the planning space. Without a constraint it is the joint space, except for draws,
+            which need a projection.
         manifold: a key of OMPL_STATE_SPACES.
-        draws: samples in place of those of OMPL.
+        draws: samples that replace OMPL's.
     """
     if space.dim or draws is not None:
         constraint = _Manifold(space, draws)

@@ -68,7 +68,7 @@ class Portfolio(BiRRT):
     between: float = 6_000  # work of the trees between them
     # total work before the trees draw uniformly again, and work of each turn of the cells
     alone: float = 20_000
-    # work of the trees' turns over that of the cells' turns: where the constraint leaves
+    # work of the trees' turns over work of the cells' turns: where the constraint leaves
     # one or two directions to the hand, and elsewhere
     ratios: tuple[float, float] = (1.0, 3.0)
     late_reach: float = np.inf  # longest extension of the trees after `alone` [rad]
@@ -95,7 +95,7 @@ class Portfolio(BiRRT):
 
 
 class _Run:
-    """One search of a portfolio; its arguments are those of `Portfolio.search`."""
+    """One search of a portfolio; arguments as of `Portfolio.search`."""
 
     def __init__(self, method: Portfolio, query: Query, distribution: SamplingDistribution) -> None:
         self._method, self._query, self._space = method, query, query.space
@@ -136,7 +136,7 @@ class _Run:
             yield trees, self.trees.grow(self._query.deadline, ratio * method.alone)
 
     def _roadmap_turns(self, roadmap: Roadmap) -> Iterator[Turn]:
-        """Yield the roadmap's two turns, and that of the trees between them."""
+        """Yield the roadmap's two turns, and the trees' turn between them."""
         method, space, trees = self._method, self._space, self._uniform.name
         start, goals, deadline = self._query.start, self._query.goals, self._query.deadline
         near = roadmap.near(start, space.robot)

@@ -181,13 +181,13 @@ class PlanResult:
     as_is: bool = False  # path of an external planner: it is certified without shortening
     goals_tried: int = 1  # number of searches for one goal each; 1 where all are searched at once
     roots: int = 0  # number of starts and goals of all trees
-    # states of the path that the search stored (m, n); None: those of the path
+    # states of the path that the search stored (m, n); None: the path's states
     waypoints: np.ndarray | None = field(default=None, repr=False)
 
     def after(self, earlier: "PlanResult | None") -> "PlanResult":
         """Return this result with the vertices, roots and timings of an earlier search added.
 
-        Seconds and counters are those of the whole run already.
+        Seconds and counters cover the whole run already.
         """
         if earlier is None:
             return self

@@ -2,7 +2,7 @@
 
 import ctypes
 from collections.abc import Callable
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, NamedTuple, Self
 
 import numpy as np
 
@@ -26,6 +26,19 @@ from cvqmpt_lab.search.motion import MAX_LENGTH_RATIO, bisect_motion, project_st
 from cvqmpt_lab.search.result import Counters, JointPath
 
 BACKENDS = ("compiled", "exact")
+
+
+class Tolerances(NamedTuple):
+    """Distances that a planning space keeps."""
+
+    step: float = 0.05  # largest distance of neighbouring states [rad], as in the paper
+    margin: float = 1e-4  # distance kept from obstacles [m]
+    # bounds are tightened by this much [m, rad], so that motions between states at the bounds stay
+    # inside
+    inset: float = 1e-3
+
+
+DEFAULT_TOLERANCES = Tolerances()
 
 
 @entry
@@ -120,15 +133,12 @@ class ConstrainedSpace:
         constraint: F(q) = 0; None: all configurations. Compiled code calls it by an address where
             it is Python code, which takes longer.
         attachments: bodies that the robot carries.
-        clearance: distance kept from obstacles in addition to `margin` [m].
+        clearance: distance kept from obstacles in addition to `Tolerances.margin` [m].
         backend: state checks are "compiled", or "exact" by `checker`; everything else is the same.
         checker: makes the exact checker for a margin [m]; None: there are no exact checks.
         ends: start and goals (k, n) [rad or m]. The compiled check is conservative: near an end
             that only this check blocks, exact checks decide.
-        step: largest distance of neighbouring states [rad], as in the paper.
-        margin: distance kept from obstacles [m].
-        inset: bounds are tightened by this much [m, rad], so that motions between states at the
-            bounds stay inside.
+        tolerances: step, margin and tightening of bounds.
     """
 
     # names of start and goals that only the conservative check blocks
@@ -145,9 +155,7 @@ class ConstrainedSpace:
         backend: str = "compiled",
         checker: Callable[[float], StateChecker] | None = None,
         ends: np.ndarray | None = None,
-        step: float = 0.05,
-        margin: float = 1e-4,
-        inset: float = 1e-3,
+        tolerances: Tolerances = DEFAULT_TOLERANCES,
     ) -> None:
         if backend not in BACKENDS:
             raise UnknownChoiceError("backend", backend, BACKENDS)
@@ -158,14 +166,13 @@ class ConstrainedSpace:
             "backend": backend,
             "checker": checker,
             "ends": ends,
-            "step": step,
-            "margin": margin,
-            "inset": inset,
+            "tolerances": tolerances,
         }
         self.robot, self.scene, self.constraint = robot, scene, constraint
         self.attachments, self.backend = attachments, backend
         if backend == "exact" and checker is None:
             raise InvalidInputError("backend exact: give the space a checker")
+        step, margin, inset = tolerances
         exact = checker(margin) if checker is not None and backend == "exact" else None
         self._check = StateCheck(exact, n)
         regions = no_regions() if constraint is None else constraint.inner_regions(inset)

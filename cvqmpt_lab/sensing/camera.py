@@ -59,7 +59,7 @@ class Intrinsics(Checked):
     ) -> "Intrinsics":
         """Return intrinsics with f = height / (2 tan(fov / 2)) and a centred principal point.
 
-        The defaults are those of the published kitchen clouds.
+        The defaults are from the published kitchen clouds.
 
         Args:
             width: number of columns.

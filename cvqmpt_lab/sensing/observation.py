@@ -54,7 +54,7 @@ class CameraSettings(Checked):
 
     @classmethod
     def like_training(cls, points: int = 1024, noise: float = 0.003) -> "CameraSettings":
-        """Return settings for clouds like those of training: cameras on all sides, no floor.
+        """Return settings for clouds as in training: cameras on all sides, no floor.
 
         Unlike training clouds they lack surfaces that no camera sees, e.g. inside closed cabinets.
 

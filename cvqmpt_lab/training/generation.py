@@ -208,7 +208,7 @@ def serial_chain(robot: Robot) -> SerialChain:
         )
     if (kinematics.parent != np.arange(robot.dof)).any():
         raise InvalidInputError(
-            f"robot {robot.name}: its joints branch, as those of two arms, and networks know only "
+            f"robot {robot.name}: its joints branch, like two arms, and networks know only "
             "chains: give one --end-effector, or plan without a network"
         )
     hand, T = robot.hand()

@@ -180,7 +180,7 @@ class MPNetStage(Stage):
         keys = (scenes,) if key is None else (key[rows], scenes)
         order = np.lexsort(keys)
         rows, scenes = rows[order], scenes[order]
-        # number of each path among those of its scene
+        # index of each path within its scene
         inside = np.arange(len(rows)) - np.searchsorted(scenes, scenes)
         group = np.cumsum(inside % size == 0) - 1
         groups = np.full((group[-1] + 1, size), -1, dtype=np.int64)

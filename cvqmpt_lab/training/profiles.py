@@ -110,7 +110,7 @@ def _profiles() -> dict[str, Profile]:
     file = (Path(__file__).parent / "profiles.toml").read_text(encoding="utf-8")
     profiles = {}
     for name, plain in tomllib.loads(file).items():
-        # a compact model is a dictionary alone, which toml cannot say as it has no null
+        # compact profile: dictionary only (TOML has no null)
         if plain["model"].get("kind") == "compact":
             plain["model"] |= {"point_cloud": None, "sequence": None}
         profiles[name] = from_plain(Profile, {"name": name, **plain}, f"profile {name}")

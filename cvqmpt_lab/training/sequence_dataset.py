@@ -34,8 +34,8 @@ from cvqmpt_lab.vqmpt.dictionary import LinkPositions
 class SequenceDataset(TrainingData):
     """A dataset of code sequences h_1 ... h_l from starts to goals.
 
-    Arrays are named as in `shards.LABEL_ARRAYS`: ``ends``, ``codes``, ``code_start`` and those of
-    scenes. With a roadmap there are also labels: which nodes, edges and links are free.
+    Arrays are named as in `shards.LABEL_ARRAYS`: ``ends``, ``codes``, ``code_start`` and the arrays
+    of scenes. With a roadmap there are also labels: which nodes, edges and links are free.
     """
 
     graph: RoadmapGraph | None  # None if the sequences are encoded paths

@@ -65,7 +65,7 @@ class SequenceStage(Stage):
 
     A batch has s scenes with r code sequences each, u starts and g goals. Its arrays are
 
-    - those of the clouds (s, ...), see `cloud_arrays`;
+    - arrays of the clouds (s, ...), see `cloud_arrays`;
     - starts (s, u, n) and goals (s, g, n) [rad];
     - start and goal (s, r) int64: row in starts and goals for each sequence;
     - codes (s, r, l) int64, padded with 0, and count (s, r), the length of each sequence;
@@ -98,7 +98,7 @@ class SequenceStage(Stage):
             device: device to train on.
 
         Raises:
-            InvalidInputError: the dictionary is not that of the labels or paths, labels have no
+            InvalidInputError: labels or paths are of another dictionary, labels have no
                 kinematics, or there are fewer scenes than in a batch.
         """
         super().__init__(settings.optimizer, seed, device)
@@ -116,15 +116,15 @@ class SequenceStage(Stage):
             apart = np.abs(nodes_of(dictionary) - dataset.graph.nodes).max()
             if apart > 1e-3:
                 raise InvalidInputError(
-                    f"{dataset.folder} labels the roadmap of another dictionary, whose nodes are "
-                    f"up to {apart:.2g} rad or m from those of this one; {same}"
+                    f"{dataset.folder} labels the roadmap of another dictionary: its nodes "
+                    f"differ by up to {apart:.2g} rad or m; {same}"
                 )
             if dataset.chain is None:
                 raise InvalidInputError(
                     f"{dataset.folder} has no kinematics; generate its labels again"
                 )
         validates, scene = dataset.validates, dataset.arrays["path_scene"]
-        # sequences first[i] ... first[i + 1] - 1 are those of scene i
+        # scene i has the sequences first[i] ... first[i + 1] - 1
         self._first = np.searchsorted(scene, np.arange(len(validates) + 1))
         self._count = np.diff(dataset.arrays["code_start"])
         short = np.bincount(scene[self._count <= longest], minlength=len(validates))

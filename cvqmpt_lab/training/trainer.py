@@ -139,7 +139,7 @@ def run_training(
 
 
 def open_folder(folder: Path, settings: Mapping[str, Any]) -> None:
-    """Write the settings to an empty folder, or compare them with those of the folder's training.
+    """Write the settings to an empty folder, or compare them with the settings stored there.
 
     Raises:
         InvalidInputError: a setting differs, or the folder has other files.

@@ -28,7 +28,7 @@ class StepDecoder(Protocol):
         """
 
     def advance(self, parents: np.ndarray, codes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Replace the prefixes by longer ones and return what can follow them.
+        """Replace the prefixes by longer ones and return their candidate next classes.
 
         Args:
             parents: (rows,) int64, index of the earlier row that each new row continues.

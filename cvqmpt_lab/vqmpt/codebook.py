@@ -148,7 +148,7 @@ class ModelConfigurations:
     """
 
     def __init__(self, model: StoredModel, robot: Robot) -> None:
-        """Prepare the inputs; InvalidInputError if robot or features are not those of the model."""
+        """Prepare the inputs; InvalidInputError if robot or features do not fit the model."""
         model.robot.require_same(robot_signature(robot))
         self._robot = robot
         self.lower = robot.lower  # (n,) [rad or m]

@@ -1,6 +1,6 @@
 """Sizes and options of VQ-MPT and MPNet, stored in ``config.json`` with the weights.
 
-Defaults are those of the published models. Values are checked when a configuration is made.
+Defaults are from the published models. Values are checked when a configuration is made.
 """
 
 from dataclasses import dataclass, field
@@ -155,7 +155,7 @@ class ModelConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class MPNetConfig:
-    """Sizes of MPNet; defaults are those of the published 7-joint model."""
+    """Sizes of MPNet; defaults are from the published 7-joint model."""
 
     joint_dim: Size = 7
     n_points: Size = 4120  # points of a cloud, drawn at random from a larger cloud
@@ -215,7 +215,7 @@ class SerialChain:
 
 @dataclass(frozen=True, kw_only=True)
 class SceneTransformerSizes:
-    """Sizes of `SceneTransformer`; defaults are those of the shipped weights."""
+    """Sizes of `SceneTransformer`; defaults are from the shipped weights."""
 
     width: Size = 128
     layers: Depth = 3  # number of layers of the causal transformer

@@ -210,7 +210,7 @@ class Quantizer(nn.Module):
     def forward(self, latent: Tensor) -> Quantized:
         """Quantise latents (..., d_model), with the straight-through estimator z + e - sg(z).
 
-        Its value is the code e; its gradient reaches both the encoder, as that of z, and the code.
+        Its value is the code e; its gradient reaches both the encoder (through z) and the code.
         """
         self.normalise_codes()
         z = self.project(latent)
@@ -227,7 +227,7 @@ class Quantizer(nn.Module):
         """Replace codes by encoded waypoints that are drawn at random.
 
         Args:
-            dead: (n_codes,) bool, the codes to replace: those no waypoint used lately, or all.
+            dead: (n_codes,) bool, the codes to replace: not used by recent waypoints, or all.
             latents: (m, d_model), encoded waypoints; each is drawn at most once if there are
                 enough.
 
@@ -343,7 +343,7 @@ class Dictionary(nn.Module):
         return self.quantizer.nearest(self.quantizer.project(self.encoder(waypoints)))
 
     def decode(self, z: Tensor) -> Gaussians:
-        """Gaussians g(z) (...) of code vectors z (..., code_dim), also of others than the codes."""
+        """Decode any latent vectors z (..., code_dim), not only dictionary codes."""
         return self.decoder(self.quantizer.output_linear_map(z))
 
 

@@ -95,7 +95,7 @@ class LearnedSampler:
 
         Args:
             codes: (c,), rows of the dictionary.
-            z: (c, code_dim), updated vectors of the codes; None for those of the dictionary.
+            z: (c, code_dim), updated vectors of the codes; None: the dictionary's vectors.
         """
         z = self.codebook.vectors[codes] if z is None else z
         means, covariances = self.codebook.gaussians(z)
@@ -151,7 +151,7 @@ class LearnedSampler:
         return GaussianMixture.equal(means, covariance, query.uniform, share, self.name)
 
     def every_waypoint(self, query: Query, found: CodeProposal) -> CodeProposal:
-        """Replace codes by those of all states along the polylines; repeated codes are left out.
+        """Replace codes by the codes of all states along the polylines, without repeated ones.
 
         The authors encode every waypoint of interpolated paths, so their sequences have codes at
         this spacing. Ours are trained with one code for each node.

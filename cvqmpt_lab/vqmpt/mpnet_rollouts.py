@@ -7,7 +7,7 @@ by a constrained motion: a direct one, else one found by tree growth. A rollout 
 do not meet or a pair cannot be connected; then the next rollout starts.
 
 Known differences from the published code: the number of proposals for one state is limited; the
-direct motion is tried before tree growth; the tree growth is that of this project and gets a share
+direct motion is tried before tree growth; the tree growth is this project's and gets a share
 of the budget (there 5 of 50 s); the time to encode the cloud counts. There are 50 rollouts, because
 the published code makes ten for each of five goals, which are identical there.
 

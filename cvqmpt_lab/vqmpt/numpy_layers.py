@@ -1,4 +1,4 @@
-"""Network layers in numpy, float32, equal to those of torch up to rounding.
+"""Network layers in numpy, float32, equal to torch's up to rounding.
 
 Planning uses them for the scene transformer and MPNet, so that it does not need torch.
 """

@@ -168,7 +168,7 @@ def ball_query(
         points: (b, n, 3) [m].
         centres: (b, m, 3) [m].
         radius: radius of the balls [m]; a point on the surface is not in the ball.
-        max_neighbours: maximum number of points of a centre; those of lowest index are taken.
+        max_neighbours: maximum number of points of a centre, lowest indices first.
         pairs_at_once: number of distances in memory on a CPU; half a megabyte fits its cache. A
             GPU computes all at once.
 
@@ -319,7 +319,7 @@ class PublishedSequenceModel(nn.Module):
         return self.context.context_encoder(ends, scene).view(len(start), 2, -1)
 
     def prefix_logits(self, context: Tensor, codes: Tensor, quantizer: Quantizer) -> Tensor:
-        """Logits of the next class after a prefix, those of pi(h_j = i | h_1 ... h_(j-1), M).
+        """Logits of the next class after a prefix, of pi(h_j = i | h_1 ... h_(j-1), M).
 
         Args:
             context: (b, 2, d_model), M of `encode_context`.

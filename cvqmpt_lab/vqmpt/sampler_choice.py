@@ -60,7 +60,7 @@ CHOICES = {
 
 @dataclass(frozen=True, kw_only=True)
 class SamplerChoice:
-    """One product of choices; texts are those of CHOICES, see the module."""
+    """One combination of choices; texts are keys of CHOICES, see the module."""
 
     predictor: str
     gaussians: str = "decoded"

@@ -190,7 +190,7 @@ class SceneTransformer(nn.Module):
         super().__init__()
         self.config = config
         d, e = config.sizes.width, config.sizes.edge_width
-        # names of layers and parameters are those of the stored weights
+        # layers and parameters are named as in the stored weights
         self.register_buffer("nodes", torch.zeros(config.n_nodes, config.joint_dim))
         self.register_buffer("edges", torch.zeros(config.n_edges, 2, dtype=torch.int64))
         self.scene, self.look = SceneEncoder(d), GeometricAttention(config)

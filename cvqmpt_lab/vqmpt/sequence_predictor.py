@@ -94,7 +94,7 @@ class SceneTransformerPredictor(SequencePredictor):
         require_own_dictionary(model)
 
     def _encoded(self, points: np.ndarray, most_points: int = 1024) -> EncodedScene:
-        """Encode points; clouds larger than those of training are thinned evenly."""
+        """Encode points; clouds larger than in training are thinned evenly."""
         config = self.network.config
         if len(points) == 0:
             points = np.array([config.empty_cloud_point], dtype=np.float32)

@@ -298,7 +298,7 @@ def _read_part(folder: Path, sha256: Mapping[str, str], name: str) -> dict[str, 
         raise InvalidInputError(
             f"{Path(folder) / CONFIG_FILE}: sha256 lists {listed}; it must list {name}"
         )
-    # read once, so that the digest is that of the bytes that are used
+    # read once, so that the digest covers the bytes that are used
     data = read_bytes(path, "weights")
     found = hashlib.sha256(data).hexdigest()
     if found != expected:

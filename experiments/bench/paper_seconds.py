@@ -42,7 +42,7 @@ class Timed(NamedTuple):
     projections: int
     newton_steps: int
     seconds: float  # without networks [s]
-    # seconds that prices measured on this machine predict, and those of `PRICES["pybullet"]` [s]
+    # seconds predicted from prices on this machine, and from `PRICES["pybullet"]` [s]
     predicted: float = 0.0
     published: float = 0.0
 

@@ -127,7 +127,7 @@ def pooled_g(updates: Sequence[CodeUpdate], what: str, when: str) -> np.ndarray:
 
     Args:
         updates: updates of all problems.
-        what: "codes": Gaussians of codes only; "all": those of goals, too.
+        what: "codes": Gaussians of codes only; "all": Gaussians of goals, too.
         when: "before" or "after" the update.
     """
     every = [u.g(when)[: len(u.codes) if what == "codes" else None].ravel() for u in updates]

@@ -135,8 +135,8 @@ def histogram_figure(updates: Sequence[CodeUpdate]) -> Figure:
     """Draw three plots of F before and after the update.
 
     Left: histogram of |F| at samples of the codes. Middle: G, the mean of F^T F over the samples of
-    a code, with one point per code. Right: G over all samples, also those of goals, with one row
-    per problem.
+    a code, with one point per code. Right: G over all samples, also of goals, with one row per
+    problem.
     """
     figure = Figure(figsize=(13.0, max(4.2, 0.6 + 0.16 * len(updates))), layout="constrained")
     left, middle, right = figure.subplots(1, 3)

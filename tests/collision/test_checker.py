@@ -19,7 +19,7 @@ from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.scene.cells import MAX_BALLS
 from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, OccupancyMap, PointCloud, Sphere
-from cvqmpt_lab.search.space import ConstrainedSpace
+from cvqmpt_lab.search.space import ConstrainedSpace, Tolerances
 
 HOME = np.array([0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785])
 CONTACT = 1e-5  # [m] contact is not defined below
@@ -32,7 +32,7 @@ def compiled_hits(robot, scene, states, attachments=(), margin=0.0):
     """Return whether the compiled checker calls each state colliding (b,)."""
     start = np.append(HOME, 0.0)[: robot.dof] if robot.dof >= len(HOME) else np.zeros(robot.dof)
     problem = PlanningProblem("test", robot, scene, start, start[None], attachments=attachments)
-    space = ConstrainedSpace.of(problem, margin=margin)
+    space = ConstrainedSpace.of(problem, tolerances=Tolerances(margin=margin))
     return np.array([not space.valid(q) for q in states])
 
 

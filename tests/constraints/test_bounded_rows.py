@@ -19,7 +19,7 @@ from cvqmpt_lab.robot.dynamics import Load, loaded_model
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.search.result import Budget
-from cvqmpt_lab.search.space import ConstrainedSpace
+from cvqmpt_lab.search.space import ConstrainedSpace, Tolerances
 
 SQUARE = np.array([[0.1, 0.1], [-0.1, 0.1], [-0.1, -0.1], [0.1, -0.1]])
 LOAD = Load(np.eye(4), 5.0, np.array([0.0, 0.1, 0.2]), np.zeros((3, 3)))
@@ -36,7 +36,7 @@ def test_machine_code_and_numpy_agree_and_slopes_are_those_of_differences(talos)
     balanced = CentreOfMass(SQUARE, margin=0.09).carrying((LOAD,))
     for member in (coupling, balanced):
         alone, both = member.on(talos), RegionConstraint(talos, (upright(0.5), member))
-        space = ConstrainedSpace(talos, Scene("empty", ()), both, inset=0.0)
+        space = ConstrainedSpace(talos, Scene("empty", ()), both, tolerances=Tolerances(inset=0.0))
         for q in talos.random_configurations(np.random.default_rng(0), 20):
             F, J = space.residual_and_jacobian(q)
             np.testing.assert_allclose(F[1:], alone.residual(q), atol=1e-9)
@@ -71,7 +71,7 @@ def test_a_base_elsewhere_moves_the_mass_of_all_links_over_corners_in_the_world(
     there = CentreOfMass(SQUARE).on(moved)
     np.testing.assert_allclose(there.values(q)[0][[3, 0]], [1.0 - y, 0.5 + x], atol=1e-12)
     both = RegionConstraint(moved, (CentreOfMass(SQUARE),))
-    space = ConstrainedSpace(moved, Scene("empty", ()), both, inset=0.0)
+    space = ConstrainedSpace(moved, Scene("empty", ()), both, tolerances=Tolerances(inset=0.0))
     np.testing.assert_allclose(
         space.residual_and_jacobian(q[0])[0], there.residual(q[0]), atol=1e-9
     )

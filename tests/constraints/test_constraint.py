@@ -19,7 +19,7 @@ from cvqmpt_lab.search.birrt import BiRRT
 from cvqmpt_lab.search.planner_interface import Query, Uniform
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.shortcut import simplify
-from cvqmpt_lab.search.space import CERTIFIED_CHORD, ConstrainedSpace
+from cvqmpt_lab.search.space import CERTIFIED_CHORD, ConstrainedSpace, Tolerances
 from cvqmpt_lab.vqmpt.codebook import Codebook
 from cvqmpt_lab.vqmpt.latent_update import LatentOptimizer, LatentSettings
 from cvqmpt_lab.vqmpt.learned_sampler import model_of
@@ -111,7 +111,7 @@ def test_a_function_is_projected_onto_as_the_regions_that_it_computes(panda):
         again = pickle.loads(pickle.dumps(mixed))
         assert mixed.regions.functions[0, 0] != again.regions.functions[0, 0] > 0
         spaces = [
-            ConstrainedSpace(panda, Scene("empty", ()), one, inset=0.0)
+            ConstrainedSpace(panda, Scene("empty", ()), one, tolerances=Tolerances(inset=0.0))
             for one in (regions, mixed, again)
         ]
         for q in panda.random_configurations(np.random.default_rng(1), 50):

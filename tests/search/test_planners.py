@@ -27,7 +27,7 @@ from cvqmpt_lab.search.method import Method
 from cvqmpt_lab.search.ompl_planners import OMPL_STATE_SPACES, OmplSearch
 from cvqmpt_lab.search.planner_interface import GaussianMixture, Proposal, Query, Uniform
 from cvqmpt_lab.search.result import Budget, PlanStatus
-from cvqmpt_lab.search.space import ConstrainedSpace
+from cvqmpt_lab.search.space import ConstrainedSpace, Tolerances
 
 # these may fail: their time or number of rollouts is limited
 LENIENT = dict.fromkeys(("atlas-rrt", "tb-rrt", "ompl-bkpiece"), PlanStatus.TIMEOUT)
@@ -114,7 +114,8 @@ def test_trees_that_never_meet_do_not_fill_the_memory(problem):
 
 def test_trees_are_enlarged_when_full(problem):
     """Steps of 2 mrad need more nodes than the initial capacity of 4096."""
-    result = searched(problem, ConstrainedSpace.of(problem, step=0.002), ENOUGH, step=0.002)
+    space = ConstrainedSpace.of(problem, tolerances=Tolerances(step=0.002))
+    result = searched(problem, space, ENOUGH, step=0.002)
     sizes = [len(tree.nodes) for tree in result.trees]
     assert max(sizes) > 4096 and sum(sizes) == result.vertices
     assert certify(problem, result.path).valid

@@ -30,7 +30,7 @@ ROW_SCHEMA = "2"
 RUNS_FILE = "runs.csv"
 MEASURE_PREFIX = "measure:"  # start of the names of columns of one suite alone
 
-# phases that the paper times, as far as its text tells
+# phases whose time the paper reports
 PAPER_PHASES = ("reach-handle", "reach-can", "carry")
 
 
@@ -229,7 +229,7 @@ def ended_runs(rows: Iterable[ResultRow]) -> set[RowKey]:
 
 
 def without_ended(rows: Sequence[ResultRow]) -> list[ResultRow]:
-    """Return the rows of all runs but those that the guard of worker processes ended."""
+    """Return the rows of all runs except runs that the guard of worker processes ended."""
     ended = ended_runs(rows)
     return [row for row in rows if row.run_key not in ended]
 
@@ -364,7 +364,7 @@ def _parse_header(path: Path, fields: list[str]) -> tuple[int, list[str]]:
 
 
 def parse_rows(path: Path, text: str) -> list[ResultRow]:
-    """Return rows of CSV text without its empty lines; errors are those of `read_rows`."""
+    """Return rows of CSV text without its empty lines; errors as in `read_rows`."""
     reader = csv.reader(io.StringIO(text, newline=""), strict=True)
     try:
         count, measures = _parse_header(path, next(reader, []))

@@ -171,7 +171,7 @@ class RunStore:
 
 
 def directory_rows(directory: Path) -> list[ResultRow]:
-    """Return the rows of a results directory, without those of runs that the guard ended.
+    """Return the rows of a results directory, without runs that the guard ended.
 
     RunStoreError: there are none; the message has advice.
     """

@@ -235,7 +235,7 @@ def _request(message: Any, robot: Robot) -> MotionRequest:
             raise InvalidInputError(f"{key} are not judged; write the request without them")
     goals = listed(fields.get("goal_constraints"), "goal_constraints")
     speed = _number(fields.get("max_cartesian_speed", 0.0), "max_cartesian_speed")
-    # the second name is that of earlier versions
+    # earlier versions have the second name
     frames = ("cartesian_speed_limited_link", "cartesian_speed_end_effector_link")
     frame = next(filter(None, map(fields.get, frames)), robot.end_effector)
     start, fingers = _start(fields.get("start_state"), robot)
@@ -334,7 +334,7 @@ def _fingers(values: Mapping[str, float], robot: Robot) -> dict[str, float]:
         for name, value in values.items()
         if name in held and abs(value - held[name]) > 1e-6
     }
-    # what is locked by the user is where the user says
+    # joints that the user locks have the user's values
     locked = robot.source.get("locked") or {}
     gripper = gripper_joints(robot) if other else []
     fingers = {joint.name: joint for joint in gripper if joint.name not in locked}

@@ -1,6 +1,6 @@
 """Adapter of roboplan (C++, pinocchio, coal): RRT-Connect with states projected onto constraints.
 
-Constraints bound roll, pitch and yaw. The settings are those of roboplan's example of constrained
+Constraints bound roll, pitch and yaw. The settings are from roboplan's example of constrained
 planning, but the search ends at the first path. Its shortcutting ignores constraints and is not
 used.
 """

@@ -51,7 +51,7 @@ class Physics(NamedTuple):
     contact_time: float  # time constant of contacts, MuJoCo's solref [s]
     # sliding joints of the gripper, each with the joint that it follows, or None
     fingers: Mapping[str, Follower | None] = {}
-    # pairs of the robot's bodies that may touch, besides those of `unchecked_pairs`
+    # more pairs of the robot's bodies that may touch than `unchecked_pairs`
     unchecked: tuple[tuple[str, str], ...] = ()
     doors: tuple[str, ...] = ()  # articulations of the scene that can move
     welded: tuple[Attachment, ...] = ()  # loads that are fixed to the hand

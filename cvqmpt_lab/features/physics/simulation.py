@@ -156,7 +156,7 @@ class Simulation:
         self._fingers = np.array([model.actuator(name).id for name in physics.fingers], dtype=int)
         others = {name: [o for o in physics.fingers if o != name] for name in physics.fingers}
         self._opens = np.array([opening_sign(robot, *finger) for finger in others.items()])
-        # numbers of geoms: a name may be that of a piece, an obstacle and the load
+        # numbers of geoms: piece, obstacle and load may share a name
         pieces = [model.geom(f"piece_{k}_geom").id for k in range(len(robot.links))]
         fixed = [model.geom(f"obstacle_{k}_geom").id for k in range(len(scene.obstacles))]
         self._pieces = {item.name: k for item, k in zip(robot.links, pieces, strict=True)}

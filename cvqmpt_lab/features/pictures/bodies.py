@@ -110,7 +110,7 @@ class Drawing:
         return [Body("floor", "scene", "floor", mesh, colour_of("floor"), T[None])]
 
     def bodies(self, *names: str) -> list[Body]:
-        """Bodies of the scene, floor, moving bodies, and those of `over` in the named layers."""
+        """Bodies of the scene, floor, moving bodies, and bodies of `over` in the named layers."""
         over = [body for layer in self.layers(*names).values() for body in layer]
         return [*self.scene, *self.floor, *self.moving, *over]
 
@@ -171,7 +171,7 @@ def robot_bodies(
     Args:
         problem: the problem with robot and attachments.
         states: (m, n) [rad or m].
-        colour: colour of the robot; None: that of the materials of its URDF, or light grey.
+        colour: colour of the robot; None: from the materials of its URDF, or light grey.
         group: name of the robot in legends.
         layer: layer of the bodies.
         opacity: opacity of the bodies, in [0, 1].

@@ -55,7 +55,7 @@ class Mesh:
 
 
 def joined(meshes: Iterable[Mesh]) -> Mesh:
-    """Join meshes to one mesh, in which each of them is a piece."""
+    """Join meshes to one mesh; each is a piece of it."""
     none = np.zeros((0, 3, 3))
     empty = Mesh(none, none, none[:, 0], np.zeros(0, dtype=int))
     meshes = [*meshes, empty]
@@ -76,7 +76,7 @@ def hull_mesh(vertices: np.ndarray) -> Mesh:
 def _hull_mesh(coordinates: bytes, most: int = 300, smooth: float = 0.7) -> Mesh:
     """Mesh of a convex hull.
 
-    Of more than `most` vertices, only those that are farthest in one of `most` directions are used.
+    If there are more than `most` vertices, only the farthest in each of `most` directions are used.
     Facets that meet at less than `smooth` [rad] are shaded as one curved surface.
     """
     vertices = np.frombuffer(coordinates).reshape(-1, 3)
@@ -194,13 +194,13 @@ def constraint_marks(
         length: length of cones, as a share of the robot's reach.
         sheet: thickness of planes [m].
         radius: radius of lines [m].
-        widest: half angle from which on a cone is not drawn [rad].
+        widest: cones with at least this half angle are not drawn [rad].
     """
     robot, reach = problem.robot, problem.robot.reach
     for region in problem.regions:
         yield from _surface_marks(problem.robot, region, states, length * reach, radius)
         if isinstance(region, TaskSpaceRegionChain):
-            # one joint: that of a door; a region attached to the other hand is not drawn
+            # one joint: a door; a region attached to the other hand is not drawn
             moved = np.flatnonzero(robot.movers(region.links(robot)[0][0]))
             if len(moved) == 1:
                 swept = np.repeat(states[:1], 40, axis=0)

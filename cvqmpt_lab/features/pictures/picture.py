@@ -58,7 +58,7 @@ def draw(
     Args:
         what: the value to draw.
         path: file to write (.png, .jpg or .pdf); None: no file is written.
-        size: width and height [pixels]; for a task solution, twice those of one phase's picture.
+        size: width and height [pixels]; for a task solution, twice as large as for one phase.
 
     Raises UnknownChoiceError for a value of another type, InvalidInputError for a scene without
     objects.
@@ -364,7 +364,7 @@ def save_film(
         rate: pictures per second.
         rest: number of times that the last picture is repeated.
         colours: number of colours of the gif.
-        chosen: approximate number of pictures from which the colours are chosen.
+        chosen: colours are chosen from about this many pictures.
     """
     require_choice(f"kind of film {path.name}: suffix", path.suffix, (".gif",))
     frames = [*frames, *[frames[-1]] * rest]

@@ -302,7 +302,7 @@ def _blend(
         depths: depths (rows, columns) [m] of solid surfaces and earlier layers; the depth of a
             translucent layer is appended.
         layer: the layer.
-        coincide: depth difference up to which surfaces coincide [m].
+        coincide: surfaces coincide up to this depth difference [m].
     """
     view, at = layer.view, layer.view.at
     in_front = view.depth < depths[0][at] - 1e-3
@@ -335,7 +335,7 @@ def clear_viewpoint(
         inside: further meshes that must be within the picture, even if they are hidden.
         torso: mesh of a torso with two arms; if it is not empty, views from its front come first.
         azimuths: directions from the motion to the eye, in the order of trial [deg].
-        enough: visible share of the motion from which on no other direction is tried.
+        enough: directions are tried until this share of the motion is visible.
         gain: smallest increase of the visible share for which another direction is taken.
         rows: height of the small pictures in which directions are compared [pixels].
     """
@@ -378,7 +378,7 @@ def framed(
         size: width and height of the picture [pixels].
         azimuth: direction from the points to the eye about z [deg].
         elevation: angle of the eye above the horizontal plane [deg].
-        context: distance of the eye, as a multiple of the distance at which they fill the picture.
+        context: distance of the eye, as a multiple of the one where they fill the picture.
     """
     target = 0.5 * (points.min(axis=0) + points.max(axis=0))
     turn, rise = math.radians(azimuth), math.radians(elevation)

@@ -1,9 +1,9 @@
 """Recordings of solutions and tasks for rerun. The only module that imports rerun.
 
-All recordings have the entities `world/scene`, `world/robot` and `plots`. Those of a task also have
-`world/moving` (doors, carried objects) and `phase`; those of a solution have `world/start`,
-`world/goals`, `world/path`, `world/constraint` and `trees`. Timelines: "path_state" is the index of
-a state of the path, "vertices" the number of vertices of a growing tree, "task_time" the time [s].
+All recordings have the entities `world/scene`, `world/robot` and `plots`. A task also has
+`world/moving` (doors, carried objects) and `phase`; a solution has `world/start`, `world/goals`,
+`world/path`, `world/constraint` and `trees`. Timelines: "path_state" is the index of a state of the
+path, "vertices" the number of vertices of a growing tree, "task_time" the time [s].
 """
 
 from collections.abc import Sequence

@@ -148,7 +148,7 @@ def _visual(
 def _simplified_meshes(
     visuals: Sequence[_Visual],
 ) -> Mapping[tuple[str, tuple[float, ...]], Mesh | None]:
-    """Return the simplified meshes by path and scale; None for those that cannot be read."""
+    """Return the simplified meshes by path and scale; None for unreadable files."""
     wanted = list(dict.fromkeys(visual.file for visual in visuals))
     # robots of many links have coarser ones, so that pages stay small
     most = min(max(24_000 // max(len(visuals), 1), 300), 1200)

@@ -69,7 +69,7 @@ def path_html(
         carried: objects drawn in the hand if the problem has no attachments.
         most_states: a path of more states is resampled to this number, at equal distances.
         times: (m,) of at most `most_states` states, evenly [s]; None: a path has none.
-        lines: text below the drawing; empty: that of the problem.
+        lines: text below the drawing; empty: the problem's text.
     """
     drawing = drawing_of_problem(
         problem,

@@ -55,7 +55,7 @@ def captures_of(
 
     Args:
         cameras: file, intrinsics and extrinsics of each.
-        scale: length of a unit in the files [m]; None: that of their format.
+        scale: length of a unit in the files [m]; None: given by their format.
         reach: of the arm [m]; where no capture is in reach, the scene of all gives the warning.
     """
     named = [*cameras]

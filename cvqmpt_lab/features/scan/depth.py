@@ -70,7 +70,7 @@ def read_capture(
 def read_depth(path: Path | str, lens: Intrinsics, scale: float | None = None) -> FloatArray:
     """Read depth (height, width) along the camera's axis [m]; NaN: none; errors name the file.
 
-    No depth is 0, what is not finite, and the largest value of 16 bits, 65535.
+    No depth: 0, values that are not finite, and the largest value of 16 bits, 65535.
 
     scale: length of a unit in the file [m]; None: 1 mm for integers, 1 m for floats.
     """
@@ -236,7 +236,7 @@ def _side(
 ) -> tuple[Any, float, float]:
     """Return size, focal length and principal point of an image along one of its sides [pixels].
 
-    ROS's message has those of the whole sensor; the image is its region of interest, binned.
+    ROS's message describes the whole sensor; the image is its region of interest, binned.
 
     Args:
         fields: content of a file of intrinsics.
