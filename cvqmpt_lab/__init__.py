@@ -13,8 +13,8 @@ provide(
         "checks of functions": ("cvqmpt_lab.planning.usable:checked_functions",),
         "checks of lengths": ("cvqmpt_lab.planning.usable:check_lengths",),
         "drawn start": ("cvqmpt_lab.planning.usable:drawn_start",),
-        "exact checker": ("cvqmpt_lab.collision.exact:checker_of",),
         "function of an address": ("cvqmpt_lab.constraints.function_files:function_of",),
+        "world": ("cvqmpt_lab.collision.world:World",),
     }
 )
 

@@ -379,7 +379,7 @@ class PlanningProblem(Document):
 
     def collision_checker(self, margin: float = 0.0) -> Checker:
         """Return the exact checker of this problem; distances below margin [m] are collisions."""
-        checker: Checker = provider("exact checker")(self, margin)
+        checker: Checker = provider("world").of(self).checker(margin)
         return checker
 
 

@@ -14,6 +14,7 @@ from cvqmpt_lab.base.processes import end_with_parent, one_thread
 from cvqmpt_lab.benchmarks.more_constraints import more_constraints_problem
 from cvqmpt_lab.benchmarks.place_task import place_problem
 from cvqmpt_lab.certificate.certificate import certify
+from cvqmpt_lab.collision import arrays
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.features.tasks.solve import solve_task
 from cvqmpt_lab.planning.pipeline import NEAR_GOAL_COUNT, solve, solve_many, with_drawn_goals
@@ -41,6 +42,15 @@ def test_many_problems_are_solved_as_each_alone_in_the_order_given(problem):
         assert solution.solved and solution.plan.counters == alone.plan.counters
         np.testing.assert_array_equal(solution.path.states, alone.path.states)
     assert solve_many([], "birrt", ENOUGH) == []
+
+
+def test_a_run_asks_for_the_arrays_of_its_scene_once(monkeypatch):
+    scenes, make = [], arrays.scene_arrays
+    monkeypatch.setattr(arrays, "scene_arrays", lambda *one: scenes.append(one[0]) or make(*one))
+    without_goals = place_problem(0)
+    assert len(without_goals.goals) == 0
+    found = solve(without_goals, "birrt", ENOUGH, seed=0, optimize=Budget(iterations=5))
+    assert found.solved and scenes == [without_goals.scene]
 
 
 @pytest.mark.parametrize("planner", ["birrt", "roadmap-cvq"])

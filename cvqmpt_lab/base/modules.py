@@ -1,6 +1,6 @@
 """Modules that are imported when they are needed: those of the user, and providers of parts.
 
-A file of a lower layer names a part, such as "exact checker". `cvqmpt_lab/__init__.py` states which
+A file of a lower layer names a part, such as "world". `cvqmpt_lab/__init__.py` states which
 files of higher layers provide it; they are imported when the part is first used.
 """
 

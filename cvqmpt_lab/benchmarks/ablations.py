@@ -48,7 +48,7 @@ def no_costs(space: ConstrainedSpace) -> EdgeCosts:
 
 def other_costs(space: ConstrainedSpace) -> EdgeCosts:
     """Edge costs in another scene than the space's."""
-    reach = reach_with(space.robot, space.attachments)
+    reach = reach_with(space.robot, space.world.attachments)
     from cvqmpt_lab.benchmarks.families import another_scene  # no plan but an ablation needs it
 
     return scene_costs(space)._replace(grid=scene_arrays(another_scene(), reach).grid)

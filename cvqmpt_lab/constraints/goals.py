@@ -21,10 +21,8 @@ from typing import Any, Protocol
 import numpy as np
 
 from cvqmpt_lab.base.values import frozen
-from cvqmpt_lab.collision.arrays import robot_arrays, scene_arrays
-from cvqmpt_lab.collision.carried import reach_with
 from cvqmpt_lab.collision.exact import CollisionChecker
-from cvqmpt_lab.collision.geometry import RobotGeometry, SceneGeometry
+from cvqmpt_lab.collision.world import World
 from cvqmpt_lab.constraints.problem_parts import ProblemParts
 from cvqmpt_lab.constraints.project import (
     PROJECTION_TOLERANCE,
@@ -287,6 +285,7 @@ def sample_goals(
     near: np.ndarray | None = None,
     project: bool = False,
     look: int = 16,
+    world: World | None = None,
 ) -> GoalSample:
     """Draw collision-free configurations in a problem's goal region, one per pose.
 
@@ -303,8 +302,9 @@ def sample_goals(
         near: configuration (n,) around which seeds are drawn [rad or m]; None: uniform seeds.
         project: whether to project onto the region instead of reaching poses drawn in it.
         look: seeds of Newton's method compared for an attempt.
+        world: the world of the problem; None: it is made here.
     """
-    robot, region = problem.robot, problem.goal_region
+    robot, region, world = problem.robot, problem.goal_region, world or World.of(problem)
     assert region is not None
     if near is None:
         seeds = _seeds_anywhere(robot, region.end_effector)
@@ -321,8 +321,8 @@ def sample_goals(
     found = reach_free.unchecked(  # all arrays are made here
         robot.kinematics,
         regions,
-        robot_arrays(robot, problem.carried),
-        scene_arrays(problem.scene, reach_with(robot, problem.carried), problem.clearance),
+        world.robot_arrays,
+        world.scene_arrays,
         SAMPLE_MARGIN_M,
         Attempts(
             seeds,
@@ -405,8 +405,13 @@ class Goals:
         return int((distances <= min(radius, 2.0 * distances.min())).sum())
 
 
-def goals_of(problem: GoalProblem) -> Goals:
-    """Return the given goals of a problem; if there are none, draw them from its goal region."""
+def goals_of(problem: GoalProblem, world: World | None = None) -> Goals:
+    """Return the given goals of a problem; if there are none, draw them from its goal region.
+
+    Args:
+        problem: the problem.
+        world: its world; None: it is made here.
+    """
     if len(problem.goals) > 0 or problem.goal_region is None:
         others = _other_turns(problem.robot, problem.goals)
         if len(others) == 0:
@@ -414,7 +419,7 @@ def goals_of(problem: GoalProblem) -> Goals:
         goals = np.concatenate([problem.goals, others])
         return Goals(frozen(goals), given=len(problem.goals))
     began = time.perf_counter()
-    found = draw_goals(problem)
+    found = draw_goals(problem, world or World.of(problem))
     configurations = on_manifold(problem, found.configurations)
     return Goals(configurations, True, found.outcome, time.perf_counter() - began)
 
@@ -432,7 +437,7 @@ def _other_turns(robot: Robot, goals: np.ndarray) -> np.ndarray:
     return np.concatenate(found)
 
 
-def draw_goals(problem: GoalProblem) -> GoalSample:
+def draw_goals(problem: GoalProblem, world: World) -> GoalSample:
     """Draw goals from a problem's goal region, goals near the start first.
 
     The start itself is the only goal where the region contains it. Goals depend on the problem's
@@ -446,12 +451,12 @@ def draw_goals(problem: GoalProblem) -> GoalSample:
     off = RegionConstraint(problem.robot, (region,)).residual(problem.start)
     if np.linalg.norm(off) <= PROJECTION_TOLERANCE:
         return GoalSample(problem.start[None], 0, 0, 0)
-    near = near_goals(problem)
-    others = goals_in_any_posture(problem, MAX_GOALS - len(near))
+    near = near_goals(problem, world=world)
+    others = goals_in_any_posture(problem, MAX_GOALS - len(near), world)
     return replace(others, configurations=np.concatenate([near, others.configurations]))
 
 
-def near_goals(problem: GoalProblem, most: int = 4) -> np.ndarray:
+def near_goals(problem: GoalProblem, most: int = 4, world: World | None = None) -> np.ndarray:
     """Find goals (at most `most`, n) in postures like the start's; (0, n) if there are none.
 
     The first is the start projected onto goal region and constraint. Others reach the drawn poses
@@ -460,12 +465,7 @@ def near_goals(problem: GoalProblem, most: int = 4) -> np.ndarray:
     """
     robot, region = problem.robot, problem.goal_region
     assert region is not None
-    reached = partial(
-        _reached,
-        problem,
-        robot_arrays(robot, problem.carried),
-        scene_arrays(problem.scene, reach_with(robot, problem.carried), problem.clearance),
-    )
+    reached = partial(_reached, problem, world or World.of(problem))
     regions = stack_regions(robot, (region, *problem.constraint), REGION_INSET)
     found = reached(regions, region.T0_w[None], [problem.start])
     if not (region.drawable and np.ptp(region.Bw, axis=1).any()):
@@ -483,8 +483,7 @@ def near_goals(problem: GoalProblem, most: int = 4) -> np.ndarray:
 
 def _reached(
     problem: GoalProblem,
-    arm: RobotGeometry,
-    scene: SceneGeometry,
+    world: World,
     regions: Regions,
     T: np.ndarray,
     seeds: Sequence[np.ndarray],
@@ -492,9 +491,8 @@ def _reached(
     """Return free configurations (at most k, n) that Newton's method reaches from given seeds.
 
     Args:
-        problem: robot, load and scene.
-        arm: pieces of the robot and its load.
-        scene: obstacles.
+        problem: goal region and constraint.
+        world: its world.
         regions: the first one is moved to each pose.
         T: poses (k, 4, 4) [m].
         seeds: configurations (n,) [rad or m]; the one with the hand nearest to the pose is taken.
@@ -505,8 +503,8 @@ def _reached(
     found = reach_free.unchecked(  # all arrays are made here
         robot.kinematics,
         regions,
-        arm,
-        scene,
+        world.robot_arrays,
+        world.scene_arrays,
         SAMPLE_MARGIN_M,
         Attempts(
             _seeds(robot, np.array(seeds), problem.goal_region.end_effector),
@@ -523,20 +521,22 @@ def _reached(
     return poses.configurations[poses.reached[:found]]
 
 
-def goals_in_any_posture(problem: GoalProblem, count: int = MAX_GOALS) -> GoalSample:
+def goals_in_any_posture(
+    problem: GoalProblem, count: int = MAX_GOALS, world: World | None = None
+) -> GoalSample:
     """Draw goals from random seeds, at any distance from the start, see `draw_goals`.
 
     Suites whose problems have given goals take these.
     """
-    rng, region = problem.random_stream(), problem.goal_region
+    rng, region, world = problem.random_stream(), problem.goal_region, world or World.of(problem)
     assert region is not None
     held = [part for part in problem.constraint if isinstance(part, TaskSpaceRegionChain)]
     near = problem.start if held else None
-    sampled = partial(sample_goals, problem, rng, count, near=near)
+    sampled = partial(sample_goals, problem, rng, count, near=near, world=world)
     drawn = None
     if problem.closed_chain:
         # few postures of two hands come near the start's posture
-        sampled = partial(_near_and_far, problem, rng, count)
+        sampled = partial(_near_and_far, problem, rng, count, world=world)
     if not only_projected(problem.robot, region):
         drawn = sampled(within=held)
         # a region of one pose has no other

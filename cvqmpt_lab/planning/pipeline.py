@@ -2,7 +2,7 @@
 
 import logging
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -13,6 +13,7 @@ from cvqmpt_lab.base.errors import require_kind, whole_number
 from cvqmpt_lab.base.jit import compile_before_clocks
 from cvqmpt_lab.base.processes import one_thread
 from cvqmpt_lab.certificate.certificate import Certificate, certify
+from cvqmpt_lab.collision.world import World
 from cvqmpt_lab.constraints.goals import Goals, goals_of
 from cvqmpt_lab.planning.planners import planner_named, require_fit
 from cvqmpt_lab.planning.solution import Solution
@@ -38,6 +39,7 @@ from cvqmpt_lab.search.space import ConstrainedSpace
 NEAR_GOAL_COUNT = 5  # number of goals that are searched first, see `near_goals_first`
 PROBLEM_HINT = "PlanningProblem.load(path) reads a file; a Task is for solve_task"
 _log = logging.getLogger("cvqmpt")
+Certify = Callable[[JointPath], Certificate]
 
 
 @one_thread()
@@ -89,17 +91,19 @@ def solve(
     compile_before_clocks()
     called = time.perf_counter()
     given = goals is not None
-    goals = goals_of(problem) if goals is None else goals
+    world = World.of(problem)
+    goals = goals_of(problem, world) if goals is None else goals
     goal_seconds = 0.0 if given else goals.seconds
     if len(goals.configurations) == 0:
-        check_problem(problem)  # refuse a start that cannot be used
-        reason = f"no goal: {goals.outcome}; {why_no_goal(problem)}"
+        check_problem(problem, world)  # refuse a start that cannot be used
+        reason = f"no goal: {goals.outcome}; {why_no_goal(problem, world)}"
         return Solution(problem, no_plan(PlanStatus.NO_GOAL, reason), goal_seconds=goal_seconds)
-    usable, left_out = usable_goals(problem, goals.configurations)
+    usable, left_out = usable_goals(problem, goals.configurations, world)
     goals = replace(goals, configurations=usable)
     require_fit(method, problem)
+    certified = partial(certify, problem, checker=world.checker(), exact_clearance=exact_clearance)
     if np.abs(usable - problem.start).max(axis=1).min() <= SAME_STATE_RAD:
-        return _start_is_goal(problem, usable, left_out, goal_seconds, exact_clearance)
+        return _start_is_goal(problem, usable, left_out, goal_seconds, certified)
     # an external planner reads its goals from the problem
     stages = method.stages(problem.changed(goals=usable) if method.external else problem)
     began = time.perf_counter()
@@ -107,14 +111,15 @@ def solve(
     observe_seconds = time.perf_counter() - began
     _log.info("%d goals in %.1f ms", len(usable), 1e3 * goals.seconds)
     _log.info("cloud of %s points", "no" if cloud is None else len(cloud))
-    space = ConstrainedSpace.of(problem, backend, ends=np.vstack([problem.start, usable]))
+    ends = np.vstack([problem.start, usable])
+    space = ConstrainedSpace.of(problem, backend, world, ends=ends)
     query = Query.of(space, problem.start, usable, budget, problem.random_stream(seed), seed)
     near = goals.near(problem.start)
     if near_goals_first and problem.robot.turning.any():
         near = max(near, NEAR_GOAL_COUNT)
     observed = Observation(cloud, use_cache)
     attempts: list[_Attempt] = []
-    for attempt in _attempts(problem, query, stages, observed, near, exact_clearance):
+    for attempt in _attempts(query, stages, observed, near, certified):
         attempts.append(attempt)
         if query.deadline.spent() is not None or attempt.certified:
             break
@@ -136,7 +141,7 @@ def solve(
     if optimize is None or found.path is None or plan.as_is:
         return found
     query = Query.of(space, problem.start, usable, optimize, problem.random_stream(seed, 1))
-    return _improved(found, query, stages, attempts[-1].proposal, exact_clearance)
+    return _improved(found, query, stages, attempts[-1].proposal, certified)
 
 
 def _sampled(stages: Stages, proposal: Proposal) -> SamplingDistribution | None:
@@ -175,7 +180,7 @@ def _outcome(
 
 
 def _improved(
-    found: Solution, query: Query, stages: Stages, proposal: Proposal, exact_clearance: bool
+    found: Solution, query: Query, stages: Stages, proposal: Proposal, certified: Certify
 ) -> Solution:
     """Return a solution with a shorter path, if one is found and certified.
 
@@ -184,12 +189,12 @@ def _improved(
         query: start, goals, and the budget for shorter paths.
         stages: stages of the planner.
         proposal: what it predicted for the first path.
-        exact_clearance: as in `solve`.
+        certified: makes the certificate of a path.
     """
     assert found.simplified is not None
     paths = stages.path_source or partial(restarted, _search_of(stages), proposal.distribution)
     shortest, improvement = improve(query, paths, found.simplified.path)
-    better = certify(found.problem, shortest, exact_clearance=exact_clearance)
+    better = certified(shortest)
     if not better.valid:
         return replace(found, improvement=replace(improvement, lengths=improvement.lengths[:1]))
     shorter = replace(found.simplified, path=shortest)
@@ -201,7 +206,7 @@ def _start_is_goal(
     goals: np.ndarray,
     left_out: tuple[str, ...],
     goal_seconds: float,
-    exact_clearance: bool,
+    certified: Certify,
 ) -> Solution:
     """Return the solution of a problem whose start is a goal: an empty path, without a search.
 
@@ -210,12 +215,12 @@ def _start_is_goal(
         goals: (k, n) [rad or m].
         left_out: goals that cannot be used, with the reasons.
         goal_seconds: time of drawing goals [s].
-        exact_clearance: whether the certificate measures the smallest distances, see `certify`.
+        certified: makes the certificate of a path.
     """
     path = JointPath(np.array([problem.start, problem.start]))
     detail = "the start is a goal: the path is empty"
     plan = PlanResult(PlanStatus.SOLVED, path, 0.0, Counters(), 0, "none", detail=detail)
-    certificate = certify(problem, path, exact_clearance=exact_clearance)
+    certificate = certified(path)
     return Solution(
         problem,
         plan,
@@ -243,22 +248,20 @@ class _Attempt(NamedTuple):
 
 
 def _attempts(
-    problem: PlanningProblem,
     query: Query,
     stages: Stages,
     observed: Observation,
     near: int,
-    exact_clearance: bool,
+    certified: Certify,
 ) -> Iterator[_Attempt]:
     """Yield attempts: one for each goal if goals are searched apart, and more after refusals.
 
     Args:
-        problem: the problem.
         query: start, goals and budget.
         stages: stages of the planner.
         observed: sensor data.
         near: number of nearest goals that are searched first.
-        exact_clearance: as in `solve`.
+        certified: makes the certificate of a path.
     """
     space, plan, ranking = query.space, None, Timings()
     tree_search = _search_of(stages)
@@ -294,7 +297,7 @@ def _attempts(
             if not plan.as_is:
                 shorter = simplify(space, plan.path, query.rng)
             began = time.perf_counter()
-            certificate = certify(problem, shorter.path, exact_clearance=exact_clearance)
+            certificate = certified(shorter.path)
             certifying = time.perf_counter() - began
             yield _Attempt(plan, proposal, shorter, certificate, certifying)
             _log.info("refused by the certificate: %s", "; ".join(certificate.reasons))

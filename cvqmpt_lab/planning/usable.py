@@ -11,7 +11,7 @@ import numpy as np
 from cvqmpt_lab.base.errors import InvalidProblemError
 from cvqmpt_lab.base.values import FloatArray, frozen
 from cvqmpt_lab.collision.carried import reach_with
-from cvqmpt_lab.collision.exact import checker_of
+from cvqmpt_lab.collision.world import World
 from cvqmpt_lab.constraints.goals import SAMPLE_MARGIN_M, find_in_region
 from cvqmpt_lab.constraints.project import PROJECTION_TOLERANCE
 from cvqmpt_lab.constraints.region_constraint import functions_of
@@ -24,7 +24,7 @@ from cvqmpt_lab.scene.scene import check_extent, refuse_far_poses
 def drawn_start(problem: PlanningProblem) -> FloatArray:
     """Draw the start (n,) in the start region and constraint; always the same one."""
     assert problem.start_region is not None
-    checker, rng = checker_of(problem, SAMPLE_MARGIN_M), np.random.default_rng(0)
+    checker, rng = World.of(problem).checker(SAMPLE_MARGIN_M), np.random.default_rng(0)
     found = find_in_region(
         problem.robot, problem.start_region, checker, rng, count=1, within=problem.constraint
     )
@@ -73,28 +73,45 @@ def check_lengths(problem: PlanningProblem) -> None:
     refuse_far_poses({f"{where}: its frame": region.T0_w for where, region in regions.items()})
 
 
-def why_no_goal(problem: PlanningProblem) -> str:
-    """Return why no configuration was found for the goal region, in words; see `why_none`."""
+def why_no_goal(problem: PlanningProblem, world: World | None = None) -> str:
+    """Return why no configuration was found for the goal region, in words; see `why_none`.
+
+    Args:
+        problem: the problem.
+        world: its world; None: it is made here.
+    """
     from cvqmpt_lab.constraints.no_goal import why_none  # for errors alone
 
     assert problem.goal_region is not None
-    checker = checker_of(problem, SAMPLE_MARGIN_M)
+    checker = (world or World.of(problem)).checker(SAMPLE_MARGIN_M)
     return why_none(problem.robot, problem.goal_region, checker, problem.constraint)
 
 
-def check_problem(problem: PlanningProblem) -> None:
-    """Refuse a start or goal in collision, off the manifold or outside the goal region."""
-    for _, what, cure in _faults(problem, problem.goals):
+def check_problem(problem: PlanningProblem, world: World | None = None) -> None:
+    """Refuse a start or goal in collision, off the manifold or outside the goal region.
+
+    Args:
+        problem: the problem.
+        world: its world; None: it is made here.
+    """
+    for _, what, cure in _faults(problem, world or World.of(problem), problem.goals):
         raise InvalidProblemError(f"{problem.name}: {what}; {cure}")
 
 
-def usable_goals(problem: PlanningProblem, goals: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Return the goals (k, n) that `check_problem` accepts, and why each other one is left out.
+def usable_goals(
+    problem: PlanningProblem, goals: np.ndarray, world: World | None = None
+) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Return the goals that `check_problem` accepts, and why each other one is left out.
 
     InvalidProblemError: the start is refused, or every goal.
+
+    Args:
+        problem: the problem.
+        goals: (k, n) [rad or m].
+        world: the world of the problem; None: it is made here.
     """
     left_out: dict[int, str] = {}
-    for k, what, cure in _faults(problem, goals):
+    for k, what, cure in _faults(problem, world or World.of(problem), goals):
         left_out.setdefault(k, what)
         if k < 0 or len(left_out) == len(goals):
             several = f"none of {len(left_out)} goals can be used: " if len(left_out) > 1 else ""
@@ -102,9 +119,11 @@ def usable_goals(problem: PlanningProblem, goals: np.ndarray) -> tuple[np.ndarra
     return frozen(np.delete(goals, [*left_out], axis=0)), tuple(left_out.values())
 
 
-def _faults(problem: PlanningProblem, goals: np.ndarray) -> Iterator[tuple[int, str, str]]:
+def _faults(
+    problem: PlanningProblem, world: World, goals: np.ndarray
+) -> Iterator[tuple[int, str, str]]:
     """Number of a goal of (k, n), or -1 for the start; why it cannot be used; and the cure."""
-    checker = checker_of(problem)
+    checker = world.checker()
     states = np.vstack([problem.start, goals])
     off = np.linalg.norm(problem.manifold.residual(states), axis=1) > PROJECTION_TOLERANCE
     for k, q in enumerate(states, start=-1):

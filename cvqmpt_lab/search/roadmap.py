@@ -15,7 +15,7 @@ import numpy as np
 
 from cvqmpt_lab.base.caches import cached_arrays, sources_digest
 from cvqmpt_lab.base.errors import InvalidInputError
-from cvqmpt_lab.collision.arrays import robot_arrays
+from cvqmpt_lab.collision.world import World
 from cvqmpt_lab.robot.robot import Robot, nearest_turn
 from cvqmpt_lab.scene.scene import Attachment, Scene
 from cvqmpt_lab.search import lazy_roadmap as kernels
@@ -112,8 +112,8 @@ def _cached_roadmap(
         made_of: bytes that identify the nodes.
         nodes_of: makes the nodes in the robot's space without obstacles.
     """
-    space = ConstrainedSpace(robot, Scene("empty", ()), attachments=attachments)
-    geometry = robot_arrays(robot, attachments)
+    world = World(robot, Scene("empty", ()), attachments)
+    space, geometry = ConstrainedSpace(world), world.robot_arrays
     parts = [sources_digest(Path(__file__)).encode(), robot.kinematics_digest.encode(), made_of]
     parts += [np.ascontiguousarray(array).tobytes() for array in (*geometry.pieces, *geometry[1:])]
 

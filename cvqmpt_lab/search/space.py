@@ -1,17 +1,15 @@
 """The planning space of all planners: projection and state checks, which it counts."""
 
 import ctypes
-from collections.abc import Callable
 from typing import Annotated, Any, NamedTuple, Self
 
 import numpy as np
 
 from cvqmpt_lab.base.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.base.jit import check_arrays, entry
-from cvqmpt_lab.collision.arrays import robot_arrays, robot_swing, scene_arrays
-from cvqmpt_lab.collision.carried import reach_with
+from cvqmpt_lab.base.modules import provider
 from cvqmpt_lab.constraints.constraint import Constraint
-from cvqmpt_lab.constraints.problem_parts import ProblemParts, StateChecker
+from cvqmpt_lab.constraints.problem_parts import ProblemParts, StateChecker, WorldParts
 from cvqmpt_lab.constraints.project import (
     PROJECTION_STEPS,
     PROJECTION_TOLERANCE,
@@ -19,8 +17,6 @@ from cvqmpt_lab.constraints.project import (
 )
 from cvqmpt_lab.constraints.regions import Regions, jacobian, no_regions, residual
 from cvqmpt_lab.robot.kinematics import forward_kinematics
-from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.scene.scene import Attachment, Scene
 from cvqmpt_lab.search import motion
 from cvqmpt_lab.search.motion import MAX_LENGTH_RATIO, bisect_motion, project_state
 from cvqmpt_lab.search.result import Counters, JointPath
@@ -128,14 +124,11 @@ class ConstrainedSpace:
     """Arrays of a robot, a scene and a constraint for compiled code, and counters of the work.
 
     Args:
-        robot: the robot.
-        scene: obstacles.
+        world: the robot, what it carries, and obstacles.
         constraint: F(q) = 0; None: all configurations. Compiled code calls it by an address where
             it is Python code, which takes longer.
-        attachments: bodies that the robot carries.
-        clearance: distance kept from obstacles in addition to `Tolerances.margin` [m].
-        backend: state checks are "compiled", or "exact" by `checker`; everything else is the same.
-        checker: makes the exact checker for a margin [m]; None: there are no exact checks.
+        backend: state checks are "compiled", or "exact" by the world's checker; everything else is
+            the same.
         ends: start and goals (k, n) [rad or m]. The compiled check is conservative: near an end
             that only this check blocks, exact checks decide.
         tolerances: step, margin and tightening of bounds.
@@ -146,41 +139,31 @@ class ConstrainedSpace:
 
     def __init__(
         self,
-        robot: Robot,
-        scene: Scene,
+        world: WorldParts,
         constraint: Constraint | None = None,
         *,
-        attachments: tuple[Attachment, ...] = (),
-        clearance: float = 0.0,
         backend: str = "compiled",
-        checker: Callable[[float], StateChecker] | None = None,
         ends: np.ndarray | None = None,
         tolerances: Tolerances = DEFAULT_TOLERANCES,
     ) -> None:
         if backend not in BACKENDS:
             raise UnknownChoiceError("backend", backend, BACKENDS)
-        n = robot.dof
         self._made_of: dict[str, Any] = {
-            "attachments": attachments,
-            "clearance": clearance,
             "backend": backend,
-            "checker": checker,
             "ends": ends,
             "tolerances": tolerances,
         }
-        self.robot, self.scene, self.constraint = robot, scene, constraint
-        self.attachments, self.backend = attachments, backend
-        if backend == "exact" and checker is None:
-            raise InvalidInputError("backend exact: give the space a checker")
+        self.world, self.robot, self.constraint = world, world.robot, constraint
+        robot, n = world.robot, world.robot.dof
         step, margin, inset = tolerances
-        exact = checker(margin) if checker is not None and backend == "exact" else None
+        exact = world.checker(margin) if backend == "exact" else None
         self._check = StateCheck(exact, n)
         regions = no_regions() if constraint is None else constraint.inner_regions(inset)
         self.arrays = motion.Space(
             kinematics=robot.kinematics,
             regions=regions,
-            robot=robot_arrays(robot, attachments),
-            scene=scene_arrays(scene, reach_with(robot, attachments), clearance),
+            robot=world.robot_arrays,
+            scene=world.scene_arrays,
             tolerance=PROJECTION_TOLERANCE,
             chord=_chord(regions, inset),
             max_iterations=PROJECTION_STEPS,
@@ -191,7 +174,7 @@ class ConstrainedSpace:
             check=self._check.address,
             query=self._check.query,
             doubtful=np.empty((0, n)),
-            swing=robot_swing(robot, attachments),
+            swing=world.robot_swing,
             counters=np.zeros(8, dtype=np.int64),
             state=np.zeros(n),
             scratch=projection_scratch(robot.kinematics, regions),
@@ -202,36 +185,39 @@ class ConstrainedSpace:
         )
         check_arrays(self.arrays)
         self.doubtful = ()
-        if checker is not None and ends is not None:
-            self.doubtful = self._find_doubtful(checker(0.0), ends)
+        if ends is not None:
+            self.doubtful = self._find_doubtful(world.checker(), ends)
 
     @classmethod
-    def of(cls, problem: ProblemParts, backend: str = "compiled", **options: Any) -> Self:
+    def of(
+        cls,
+        problem: ProblemParts,
+        backend: str = "compiled",
+        world: WorldParts | None = None,
+        **options: Any,
+    ) -> Self:
         """Return the space of a planning problem; `ends` are its start and goals.
 
         Args:
             problem: the planning problem.
             backend: of state checks.
+            world: the world of the problem; None: it is made here.
             **options: more arguments of the constructor.
         """
         return cls(
-            problem.robot,
-            problem.scene,
+            world or provider("world").of(problem),
             problem.manifold,
-            attachments=problem.carried,
-            clearance=problem.clearance,
             backend=backend,
-            checker=problem.collision_checker,
             **{"ends": np.vstack([problem.start, problem.goals]), **options},
         )
 
     def again(self) -> "ConstrainedSpace":
         """Return a copy of this space with separate counters."""
-        return ConstrainedSpace(self.robot, self.scene, self.constraint, **self._made_of)
+        return ConstrainedSpace(self.world, self.constraint, **self._made_of)
 
     def unconstrained(self) -> "ConstrainedSpace":
         """Return a copy of this space without its constraint; its work is counted in this one."""
-        free = ConstrainedSpace(self.robot, self.scene, **self._made_of)
+        free = ConstrainedSpace(self.world, **self._made_of)
         free.arrays = free.arrays._replace(counters=self.arrays.counters)
         return free
 

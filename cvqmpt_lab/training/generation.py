@@ -18,6 +18,7 @@ from cvqmpt_lab.base.errors import InvalidInputError, require_choice, whole_numb
 from cvqmpt_lab.base.files import locked, make_folder, read_json_object, write_bytes, write_text
 from cvqmpt_lab.benchmarks.families import FAMILIES, family_scene
 from cvqmpt_lab.benchmarks.results.provenance import provenance
+from cvqmpt_lab.collision.world import World
 from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
@@ -274,7 +275,7 @@ def near_obstacles(
     rotations, translations = link_poses(robot.kinematics, configurations)
     hand = rotations[:, link] @ T[:3, 3] + translations[:, link]
     near = np.zeros(len(configurations), dtype=bool)
-    for item in space.scene.obstacles:
+    for item in space.world.scene.obstacles:
         _, size = shape_row(item.shape)
         half = 0.5 * np.array(size) if isinstance(item.shape, Box) else np.array(size)
         local = (hand - item.T_world_object[:3, 3]) @ item.T_world_object[:3, :3]
@@ -295,7 +296,8 @@ class PathRecipe(SceneRecipe):
     def labelled(self, robot: Robot, scene: Scene, index: int) -> dict[str, Any]:
         """Make the paths of a scene."""
         rng = np.random.default_rng((self.seed, index))
-        labels = _labels(ConstrainedSpace(robot, scene), rng, self.paths_per_scene, self.labels)
+        space = ConstrainedSpace(World(robot, scene))
+        labels = _labels(space, rng, self.paths_per_scene, self.labels)
         paths = [path for path, _ in labels]
         waypoints = [
             packed(path.spaced(WAYPOINT_SPACING_RAD), robot.lower, robot.upper) for path in paths

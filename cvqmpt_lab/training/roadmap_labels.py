@@ -12,6 +12,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.collision.arrays import robot_arrays
+from cvqmpt_lab.collision.world import World
 from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
@@ -87,7 +88,7 @@ def roadmap_graph(model: str, robot: Robot) -> RoadmapGraph:
     count, k = roadmap.neighbours.shape
     pairs = np.stack([np.repeat(np.arange(count), k), roadmap.neighbours.ravel()], axis=1)
     edges = np.unique(np.sort(pairs, axis=1), axis=0).astype(np.int32)
-    space = ConstrainedSpace(robot, Scene("nothing", ()))
+    space = ConstrainedSpace(World(robot, Scene("nothing", ())))
     checked = verdicts(space, roadmap.nodes, edges, checks=100 * CHECKS_PER_EDGE)
     # in an empty scene, only very long edges need so many checks
     if checked is None:
@@ -162,7 +163,7 @@ def verdicts(
 @lru_cache(maxsize=1)
 def checks_of(robot: Robot, graph: RoadmapGraph) -> int:
     """Limit of state checks per edge: multiplied by 4 until it suffices in an empty scene."""
-    space = ConstrainedSpace(robot, Scene("nothing", ()))
+    space = ConstrainedSpace(World(robot, Scene("nothing", ())))
     checks = CHECKS_PER_EDGE
     while verdicts(space, graph.nodes, graph.edges, graph.edge_possible, checks) is None:
         checks *= 4
@@ -189,7 +190,7 @@ def roadmap_labels(
     Returns:
         Arrays of `shards.LABEL_ARRAYS` of this scene, or None if it needs too many state checks.
     """
-    space = ConstrainedSpace(robot, scene)
+    space = ConstrainedSpace(World(robot, scene))
     rng = np.random.default_rng(seed)
     checks = checks_of(robot, graph)
     checked = verdicts(space, graph.nodes, graph.edges, graph.edge_possible, checks)

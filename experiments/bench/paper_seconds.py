@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from cvqmpt_lab.base.files import csv_table, make_folder, write_text
 from cvqmpt_lab.benchmarks.results.provenance import ProvenanceFile, provenance
+from cvqmpt_lab.collision.world import World
 from cvqmpt_lab.constraints.project import PROJECTION_STEPS
 from cvqmpt_lab.experiments.bench.paper_check import Placement, Simulator
 from cvqmpt_lab.experiments.bench.stage_times import CpuClock, Measured
@@ -184,7 +185,7 @@ class SimulatedSpace(ConstrainedSpace):
     """
 
     def __init__(self, problem: PlanningProblem, simulator: Simulator) -> None:
-        super().__init__(problem.robot, problem.scene, problem.manifold)
+        super().__init__(World(problem.robot, problem.scene), problem.manifold)
         self._simulator, self._bullet = simulator, simulator.bullet
         (urdf, _), *_ = problem.robot.files
         # for kinematics; its bodies are not checked

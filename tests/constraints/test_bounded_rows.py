@@ -8,6 +8,7 @@ import pytest
 from refusals import refused
 
 from cvqmpt_lab.benchmarks.declarations import SUITES
+from cvqmpt_lab.collision.world import World
 from cvqmpt_lab.constraints.centre_of_mass import CentreOfMass
 from cvqmpt_lab.constraints.joint_coupling import JointCoupling
 from cvqmpt_lab.constraints.region_constraint import JumpingConstraint, RegionConstraint
@@ -36,7 +37,9 @@ def test_machine_code_and_numpy_agree_and_slopes_are_those_of_differences(talos)
     balanced = CentreOfMass(SQUARE, margin=0.09).carrying((LOAD,))
     for member in (coupling, balanced):
         alone, both = member.on(talos), RegionConstraint(talos, (upright(0.5), member))
-        space = ConstrainedSpace(talos, Scene("empty", ()), both, tolerances=Tolerances(inset=0.0))
+        space = ConstrainedSpace(
+            World(talos, Scene("empty", ())), both, tolerances=Tolerances(inset=0.0)
+        )
         for q in talos.random_configurations(np.random.default_rng(0), 20):
             F, J = space.residual_and_jacobian(q)
             np.testing.assert_allclose(F[1:], alone.residual(q), atol=1e-9)
@@ -71,7 +74,9 @@ def test_a_base_elsewhere_moves_the_mass_of_all_links_over_corners_in_the_world(
     there = CentreOfMass(SQUARE).on(moved)
     np.testing.assert_allclose(there.values(q)[0][[3, 0]], [1.0 - y, 0.5 + x], atol=1e-12)
     both = RegionConstraint(moved, (CentreOfMass(SQUARE),))
-    space = ConstrainedSpace(moved, Scene("empty", ()), both, tolerances=Tolerances(inset=0.0))
+    space = ConstrainedSpace(
+        World(moved, Scene("empty", ())), both, tolerances=Tolerances(inset=0.0)
+    )
     np.testing.assert_allclose(
         space.residual_and_jacobian(q[0])[0], there.residual(q[0]), atol=1e-9
     )

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from cvqmpt_lab.base.poses import pose
+from cvqmpt_lab.collision.world import World
 from cvqmpt_lab.constraints.by_name.plane import plane
 from cvqmpt_lab.constraints.constraint import Constraint
 from cvqmpt_lab.constraints.project import PROJECTION_TOLERANCE
@@ -66,7 +67,7 @@ def pole(panda):
 
 
 def test_a_constraint_in_python_is_searched_on(panda, pole):
-    space = ConstrainedSpace(panda, pole, CIRCLE)
+    space = ConstrainedSpace(World(panda, pole), CIRCLE)
     goal = np.array([0.5, -0.785, 0.5, -2.356, 0.0, 1.571, 0.785])
     assert not CIRCLE.residual(HOME).any() and not CIRCLE.residual(goal).any()
     uniform, rng = Uniform(panda.lower, panda.upper), np.random.default_rng(0)
@@ -111,7 +112,9 @@ def test_a_function_is_projected_onto_as_the_regions_that_it_computes(panda):
         again = pickle.loads(pickle.dumps(mixed))
         assert mixed.regions.functions[0, 0] != again.regions.functions[0, 0] > 0
         spaces = [
-            ConstrainedSpace(panda, Scene("empty", ()), one, tolerances=Tolerances(inset=0.0))
+            ConstrainedSpace(
+                World(panda, Scene("empty", ())), one, tolerances=Tolerances(inset=0.0)
+            )
             for one in (regions, mixed, again)
         ]
         for q in panda.random_configurations(np.random.default_rng(1), 50):
@@ -127,7 +130,7 @@ def test_what_a_constraint_raises_reaches_the_caller(panda):
         def residual(self, q):
             raise ZeroDivisionError("by nothing")
 
-    space = ConstrainedSpace(panda, Scene("empty", ()), Broken(0, 2, (0.0, 0.5), 0.5, 7))
+    space = ConstrainedSpace(World(panda, Scene("empty", ())), Broken(0, 2, (0.0, 0.5), 0.5, 7))
     uniform, rng = Uniform(panda.lower, panda.upper), np.random.default_rng(0)
     query = Query.of(space, HOME, HOME[None] + 0.1, Budget(iterations=10), rng)
     with pytest.raises(ZeroDivisionError, match="by nothing"):

@@ -7,6 +7,7 @@ from refusals import refused
 from cvqmpt_lab.certificate.certificate import FaultKind, Verdict, certify
 from cvqmpt_lab.collision.carried import carried_pairs
 from cvqmpt_lab.collision.exact import CollisionChecker
+from cvqmpt_lab.collision.world import World
 from cvqmpt_lab.constraints.region_constraint import RegionConstraint
 from cvqmpt_lab.features.motion.motion_check import DryRun
 from cvqmpt_lab.features.motion.record import record, report_of
@@ -134,13 +135,13 @@ def test_an_srdf_switches_the_comparison_of_links_off_and_on(edited, tmp_path):
         checker = CollisionChecker(arm, Scene("dot", (dot,)))
         assert checker.in_collision(states[0]) == touches
         assert (checker.colliding_pair(states[0]) is not None) == touches
-        space = ConstrainedSpace(arm, Scene("dot", (dot,)), RegionConstraint(arm, ()))
+        space = ConstrainedSpace(World(arm, Scene("dot", (dot,))), RegionConstraint(arm, ()))
         assert space.valid_batch(states[:1])[0] != touches
         assert ("wrist_0" in str(checker.nearest_obstacle(states[0]).pair)) == touches
     # the pair of wrist and base is compared, and other links meet the obstacle
     wall = Scene("wall", (SceneObject("wall", Box((0.02, 3.0, 3.0)), pose((0.5, 0.0, 0.0))),))
     exact = CollisionChecker(robot, wall)
-    space = ConstrainedSpace(robot, wall, RegionConstraint(robot, ()))
+    space = ConstrainedSpace(World(robot, wall), RegionConstraint(robot, ()))
     truth = exact.in_collision_batch(states)
     pairs = [str(exact.colliding_pair(q)) for q in states[truth]]
     assert "tool_0 and wall" in pairs and "wrist_0 and wall" not in pairs

@@ -12,6 +12,7 @@ from refusals import refused
 from cvqmpt_lab.certificate.certificate import FaultKind, certify
 from cvqmpt_lab.collision.arrays import robot_swing
 from cvqmpt_lab.collision.exact import CollisionChecker
+from cvqmpt_lab.collision.world import World
 from cvqmpt_lab.constraints.bounds_between import bound_between
 from cvqmpt_lab.constraints.region_constraint import RegionConstraint
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, displacements
@@ -145,7 +146,7 @@ def test_every_frame_and_piece_stands_where_joints_of_their_own_would_put_it(rob
     assert 20 < truth.sum() < 180
     exact = CollisionChecker(robot, scene)
     np.testing.assert_array_equal(exact.in_collision_batch(states), truth)
-    compiled = ConstrainedSpace(robot, scene, RegionConstraint(robot, ()))
+    compiled = ConstrainedSpace(World(robot, scene), RegionConstraint(robot, ()))
     wrong = np.flatnonzero(compiled.valid_batch(states) == truth)
     # the compiled checks keep 0.1 mm away
     assert all(0.0 < exact.clearance(states[k]) < 1e-3 for k in wrong)

@@ -4,6 +4,7 @@ import numpy as np
 from refusals import refused
 
 from cvqmpt_lab.collision.exact import CollisionChecker
+from cvqmpt_lab.collision.world import World
 from cvqmpt_lab.constraints.region_constraint import RegionConstraint
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import load_robot
@@ -33,7 +34,7 @@ def test_a_floor_and_a_wall_of_any_size_are_planned_with(edited):
     plain = CollisionChecker(load_robot(edited(), "tool"), EMPTY).in_collision_batch(states)
     # some states touch the floor or the wall alone
     assert 20 < (truth & ~plain).sum() < 300
-    space = ConstrainedSpace(robot, EMPTY, RegionConstraint(robot, ()))
+    space = ConstrainedSpace(World(robot, EMPTY), RegionConstraint(robot, ()))
     wrong = np.flatnonzero(space.valid_batch(states) == truth)
     assert all(0.0 < exact.clearance(states[k]) < 1e-3 for k in wrong)
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from cvqmpt_lab.collision.world import World
 from cvqmpt_lab.experiments.bench.paper_check import Simulator
 from cvqmpt_lab.experiments.bench.paper_seconds import SimulatedSpace, Timed, ratios
 from cvqmpt_lab.experiments.bench.stage_times import tuning_problems
@@ -13,7 +14,7 @@ from cvqmpt_lab.search.space import ConstrainedSpace
 def test_operations_of_pybullet_are_those_of_the_compiled_code():
     pytest.importorskip("pybullet")
     (problem,) = tuning_problems(1)
-    ours = ConstrainedSpace(problem.robot, problem.scene, problem.manifold)
+    ours = ConstrainedSpace(World(problem.robot, problem.scene), problem.manifold)
     configurations = problem.robot.random_configurations(np.random.default_rng(3), 10)
     with Simulator(problem) as simulator:
         space = SimulatedSpace(problem, simulator)
