@@ -10,7 +10,6 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 import trimesh
-from cvqmpt_lab.constraints.holding import really_held
 from judged_bodies import furthest, moved
 from random_arms import ARMS as RANDOM_ARMS
 from random_arms import random_urdf
@@ -25,7 +24,7 @@ from cvqmpt_lab.constraints.by_name.relative_pose import relative_pose
 from cvqmpt_lab.constraints.region_constraint import RegionConstraint
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.planning.pipeline import solve
-from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.problem import PlanningProblem, really_held
 from cvqmpt_lab.robot.hulls import OVERLAP
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
