@@ -112,6 +112,9 @@ RobotOfSource = Annotated[Robot, RobotForm()]
 States = Annotated[FloatArray, GoalsForm((None, None), "numbers [rad or m]")]
 
 
+OneRegion = Annotated[TaskSpaceRegion, RegionForm(with_functions=True)]
+
+
 class MemberForm:
     """A region, or a function of the user's own: {"function": "my_module:F", ...fields}."""
 
@@ -144,7 +147,7 @@ class MemberForm:
             "properties": {"function": schema_of(str) | address},
             "required": ["function"],
         }
-        return {"anyOf": [schema_of(Region), function]}
+        return {"anyOf": [schema_of(OneRegion), function]}
 
 
 OneMember = Annotated[Member, MemberForm()]
@@ -302,7 +305,7 @@ class PlanningProblem(Document):
         rounding: float = 1e-6,
         largest: float = 100.0,
     ) -> FloatArray:
-        """Return states with readings of endless joints and rounded limits moved into the limits.
+        """Return states with endless joints turned into the limits and tiny overshoots clipped.
 
         Args:
             what: noun for the states in the warning.
@@ -360,7 +363,7 @@ class PlanningProblem(Document):
 
     @cached_property
     def carried(self) -> tuple[Attachment, ...]:
-        """The attachments, also held only by hands that the constraint keeps at them."""
+        """The attachments; of the extra hands, only those that the constraint keeps in place."""
         return really_held(self.robot, self.attachments, self.regions)
 
     @cached_property
@@ -370,7 +373,7 @@ class PlanningProblem(Document):
 
     @property
     def notes(self) -> list[str]:
-        """Lines on what robot and scene let planning take otherwise than expected."""
+        """Lines on how robot and scene were read differently from their files."""
         return [*self.robot.notes, *self.scene.notes]
 
     def random_stream(self, *keys: int) -> np.random.Generator:

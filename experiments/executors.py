@@ -195,7 +195,7 @@ def _detail(error: BaseException) -> str:
 
 @contextmanager
 def local_processes(size: int, limit: Callable[[Any], Limit] | None = None) -> Iterator[Executor]:
-    """Yield an executor of processes; limit: when a task is ended, never without it.
+    """Yield an executor of processes; limit: when a task is ended; None: tasks are never ended.
 
     More than 4 processes a core, or 64, are refused: each takes 200 MB or more.
     """
@@ -262,10 +262,10 @@ def dask_cluster(
             raise InvalidInputError(
                 f"the Dask scheduler at {address} has no workers; start `dask worker`"
             )
-        for worker, count in threads.items():
-            if count != 1:
+        for worker, at_once in threads.items():
+            if at_once != 1:
                 raise InvalidInputError(
-                    f"{worker} runs {count} at a time; start `dask worker --nthreads 1`"
+                    f"{worker} runs {at_once} at a time; start `dask worker --nthreads 1`"
                 )
         here = installed()
         for worker, there in client.run(installed, on_error="return").items():
@@ -273,10 +273,10 @@ def dask_cluster(
                 raise InvalidInputError(
                     f"{worker} cannot run planners: {there}; install the same cvqmpt-lab there"
                 )
-            for what in (name for name in here if here[name] != there[name]):
+            for what in (name for name in here if here[name] != there.get(name)):
                 cure = "install the same cvqmpt-lab there"
                 if what == "arithmetic":
-                    cure = f"it uses {there[what]}; start it by: env {_PINNED} dask worker ..."
+                    cure = f"it uses {there.get(what)}; start it by: env {_PINNED} dask worker ..."
                 raise InvalidInputError(f"{worker} has other {what}; {cure}")
         executor = client.get_executor()
         losses = {KilledWorker: FailReason.WORKER_DIED, MemoryError: FailReason.OUT_OF_MEMORY}

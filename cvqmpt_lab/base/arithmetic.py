@@ -35,7 +35,7 @@ def pin() -> None:
     fault, cure = _unable(), ""
     if not fault:
         os.environ.update(PINNED)
-        if GIVEN == PINNED:
+        if GIVEN == PINNED:  # a parent process set them before anything was imported here
             return
         uses = {"numpy": numpy_uses, "numba": numba_uses}
         early = {name: use() for name, use in uses.items() if name in sys.modules}

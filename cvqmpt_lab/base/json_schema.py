@@ -42,7 +42,7 @@ class _Schemas:
         self.shared: dict[str, Schema] = {}
 
     def __call__(self, kind: Any, constants: Mapping[str, str] | None = None) -> Schema:
-        """Return the schema of an annotation; constants: fields that name a class, by name."""
+        """Return the schema of an annotation; constants: fields with one value, by name."""
         origin, parts = typing.get_origin(kind), typing.get_args(kind)
         if origin is Annotated:
             return self._of_form(*parts[:2])
@@ -96,7 +96,8 @@ class _Schemas:
             return self(kind)
         if not name.endswith("Form"):
             return form.schema(self)
-        return self._share(name.removesuffix("Form").lower(), lambda: form.schema(self))
+        name = name.removesuffix("Form").lower() + getattr(form, "variant", "")
+        return self._share(name, lambda: form.schema(self))
 
     def _share(self, name: str, make: Callable[[], Schema]) -> Schema:
         if name not in self.shared:

@@ -1,4 +1,4 @@
-"""A report: labelled lines for people, and the same as data for json."""
+"""Reports that commands print as lines, or as json with --json."""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
@@ -35,18 +35,20 @@ class Report:
     @property
     def lines(self) -> list[str]:
         """The lines, each with its label."""
-        return [f"{label:{self.width}}{text}" for label, text in self.entries]
+        return [
+            f"{label + ' ' if label else '':{self.width}}{text}" for label, text in self.entries
+        ]
 
     def __str__(self) -> str:
         return "\n".join(self.lines)
 
     def only(self, *labels: str) -> Self:
-        """Return the report with the lines of some labels alone."""
+        """Return the report with the lines of some labels; the data stay complete."""
         return type(self)(
             tuple(entry for entry in self.entries if entry[0] in labels), self.make_data, self.width
         )
 
-    def with_entry(self, label: str, text: str, **data: Any) -> Self:
+    def with_entry(self, label: str, text: str, /, **data: Any) -> Self:
         """Return the report with one more line, and more data."""
         entries = (*self.entries, (label, text))
         return type(self)(entries, lambda: self.data | data, self.width)

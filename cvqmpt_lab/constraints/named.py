@@ -4,6 +4,7 @@ A new name is a file in `by_name` with the function of this name and an example 
 """
 
 import json
+import typing
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -69,6 +70,11 @@ class RegionForm:
 
     with_functions: bool = False  # whether names of constraints that are no regions are read, too
 
+    @property
+    def variant(self) -> str:
+        """Ending of the name of its JSON schema."""
+        return "" if self.with_functions else "_of_poses"
+
     def read(self, value: Any, where: str) -> Any:
         """Return the region of a json value."""
         if isinstance(value, TaskSpaceRegion):
@@ -115,6 +121,10 @@ class RegionForm:
         """Return the JSON schema of all regions: in full, and by each name."""
         found = [schema_of(TaskSpaceRegion), schema_of(TaskSpaceRegionChain)]
         for name, kind in NAMED_REGIONS.items():
+            if not self.with_functions and not issubclass(
+                typing.get_type_hints(kind)["return"], TaskSpaceRegion
+            ):
+                continue
             content = schema_of(kind)
             first, *others = field_kinds(kind).items()
             if first[1] is not Any and field_defaults(kind).keys() >= dict(others).keys():

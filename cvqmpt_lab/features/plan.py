@@ -1,7 +1,8 @@
 """One call from a problem to a certified motion: `plan(problem, Request(...))`.
 
 It puts together the run of a problem (`planning.pipeline.solve`), the margin for tracking error
-(`planning.margins`), ends on the move (`motion.moving_ends`) and timing (`motion.motion_check`).
+(`planning.margins`), velocities at start and end (`motion.moving_ends`) and timing
+(`motion.motion_check`).
 """
 
 from __future__ import annotations  # so `help` shows types by their names
@@ -11,7 +12,7 @@ from dataclasses import dataclass, field
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
-from cvqmpt_lab.base.errors import require_kind, whole_number
+from cvqmpt_lab.base.errors import require_choice, require_kind, whole_number
 from cvqmpt_lab.base.reports import Report
 from cvqmpt_lab.constraints.goals import Goals
 from cvqmpt_lab.planning.margins import Kept, Margin, keep_margin, kept_by
@@ -21,6 +22,7 @@ from cvqmpt_lab.planning.solution import Solution
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.search.method import Method
 from cvqmpt_lab.search.result import Budget, JointPath
+from cvqmpt_lab.search.space import BACKENDS
 
 if TYPE_CHECKING:
     from cvqmpt_lab.features.motion.timing import TimingSettings
@@ -52,6 +54,11 @@ class Request:
         if self.optimize is not None:
             Budget.require(self.optimize, "optimize")
         object.__setattr__(self, "seed", whole_number("seed", self.seed))
+        require_choice("backend", self.backend, BACKENDS)
+        if self.timing is not None:
+            from cvqmpt_lab.features.motion.timing import TimingSettings  # imports scipy
+
+            require_kind("timing", self.timing, TimingSettings, "give TimingSettings(speed=0.2)")
         require_kind("margin", self.margin, Margin, "give Margin(metres, radians)")
         self.margin.check()
 

@@ -299,8 +299,9 @@ def _attempts(
             began = time.perf_counter()
             certificate = certified(shorter.path)
             certifying = time.perf_counter() - began
+            if not certificate.valid:
+                _log.info("refused by the certificate: %s", "; ".join(certificate.reasons))
             yield _Attempt(plan, proposal, shorter, certificate, certifying)
-            _log.info("refused by the certificate: %s", "; ".join(certificate.reasons))
             # a search may find another path; a proposed path would be the same again
             searching = not plan.as_is and proposal.path is None
             # a search without iterations must use up the budget, too

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from functools import cache, partial
 from typing import Any, Literal
 
+from cvqmpt_lab.base.errors import unique
 from cvqmpt_lab.base.files import Imported, Modules
 
 
@@ -219,7 +220,7 @@ SHIPPED = (
     ),
     _control("roadmap-wrong-scene", "`roadmap-cvq` with edge costs in another scene"),
     _control("roadmap-no-scene", "`roadmap-cvq` whose edges cost their length"),
-    _control("roadmap-true-edges", "the same with blocked edges known at no cost"),
+    _control("roadmap-true-edges", "`roadmap-cvq` with blocked edges known at no cost"),
 )
 
 
@@ -227,5 +228,6 @@ SHIPPED = (
 def declared(*groups: str) -> dict[str, Planner]:
     """Return the planners of groups by name; without any, those of suites, slow ones included."""
     every = (*SHIPPED, *(module.PLANNER for module in Modules("planning/by_name").values()))
+    unique((planner.name for planner in every), "planners")
     groups = groups or ("quick", "slow", "seldom", "in-ompl")
     return {planner.name: planner for planner in every if planner.group in groups}
