@@ -32,8 +32,8 @@ class FunctionConstraint(Constraint):
         residual: F.
         jacobian: dF/dq (dim, n), or (b, dim, n); None: central differences.
         bound: a Lipschitz constant of every entry of F [units per rad or m of the joints together],
-            or a function of two states (n,) that returns by how much the largest ``|F_i|`` between them
-            can exceed its larger value at both. With it, motions are proven; without, checked.
+            or a function of two states (n,) that returns by how much the largest ``|F_i|`` between
+            them can exceed its larger value at both. With it, motions are proven; without, checked.
         name: what reports call it; the name of the function if it is empty.
         units: of F, for reports.
     """
