@@ -8,11 +8,12 @@ from typing import NamedTuple
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.benchmarks.declarations import SUITES
 
-# options that describe a robot, and their number of values; 2: one or more
+ONE_OR_MORE = 2
+# options that describe a robot, and their number of values: 0, 1 or ONE_OR_MORE
 ROBOT_OPTIONS: Mapping[str, int] = {
     "--urdf": 1,
     "--end-effector": 1,
-    "--end-effectors": 2,
+    "--end-effectors": ONE_OR_MORE,
     "--srdf": 1,
     "--package-dir": 1,
     "--lock": 1,
@@ -99,14 +100,14 @@ def _quoted(word: str) -> str:
 
 
 def _alone(line: Line, given: Given) -> str:
-    """Return the cure of an option whose value is now a word alone."""
+    """Return the advice for an option whose value is now written without the option."""
     value = given.values[0] if given.values else "FILE"
     more = {"certify": "PATH ", "scan": "SCAN ", "follow": "POSES.csv "}.get(line.command, "")
     return f"write {value} alone: cvqmpt {line.command} {more}{value}"
 
 
 def _robot(line: Line, given: Given) -> str:
-    """Return the cure of an option that describes a robot."""
+    """Return the advice for an option that describes a robot."""
     urdf = line.value("--urdf", otherwise="")
     details = [x for x in line.options(ROBOT_OPTIONS) if x.name != "--urdf"]
     if not details:

@@ -178,12 +178,12 @@ class PlanningProblem(Document):
     goal_region: Region | None = None  # End-effector poses that count as a goal
     # End-effector poses from which the start is drawn, within the constraint
     start_region: Region | None = None
-    # That robot and what it carries keep from obstacles [m]; planned and certified
+    # Distance that the robot and what it carries keep from obstacles [m]; planned and certified
     clearance: Clearance = 0.0
 
     def _check(self) -> None:
         self._check_regions()
-        self._load_functions()
+        self._tell_functions_the_load()
         if (len(self.start) == 0) == (self.start_region is None):
             raise InvalidProblemError(
                 f"{self.name}: give 'start' or 'start_region', one of the two"
@@ -281,7 +281,7 @@ class PlanningProblem(Document):
         if functions_of(self.constraint):
             object.__setattr__(self, "goals", provider("checks of functions")(self, given))
 
-    def _load_functions(self) -> None:
+    def _tell_functions_the_load(self) -> None:
         """Tell constraints that depend on it what the robot carries."""
         if not any(hasattr(part, "carrying") for part in self.constraint):
             return

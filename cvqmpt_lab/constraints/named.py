@@ -39,7 +39,7 @@ def upper_axis(T_world_hand: np.ndarray) -> Axis:
 
 
 class NamedRegions(Modules):
-    """Function of each name: `{"upright": {...}}`, or `{"upright": 0.1}` with its first parameter.
+    """Function of each name: `{"upright": {...}}`, or its first parameter, `{"upright": 0.1}`.
 
     The file of a name has the function of this name, and an example of its fields.
     """

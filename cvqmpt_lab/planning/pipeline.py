@@ -73,8 +73,8 @@ def solve(
         optimize: budget for shorter paths after the first one; the result is never longer.
         use_cache: False: the planner's time contains all computations from the cloud, also those
             whose results are cached.
-        near_goals_first: if hinges have a range of more than one turn, the nearest goals are
-            searched first, because other goals are whole turns away. Drawn goals near the start
+        near_goals_first: if a joint can turn more than once, the same pose is a goal several times,
+            whole turns apart; the nearest goals are then searched first. Drawn goals near the start
             are always searched first.
         goals: result of `goals_of` for the problem; None: it is called here.
 
@@ -138,6 +138,7 @@ def solve(
         left_out=left_out,
         goals=usable,
     )
+    # `as_is`: the path of an external planner is not changed
     if optimize is None or found.path is None or plan.as_is:
         return found
     query = Query.of(space, problem.start, usable, optimize, problem.random_stream(seed, 1))

@@ -42,8 +42,8 @@ def drawn_start(problem: PlanningProblem) -> FloatArray:
 def checked_functions(problem: PlanningProblem, given: FloatArray) -> FloatArray:
     """Check the functions of the constraint at the start; return the goals (k, n) [rad or m].
 
-    Functions may change by a whole turn of a joint. Goals that keep them only as they were given
-    (k, n), and not as the problem turned them, stay as given.
+    The problem turns endless joints of goals to within half a turn of the start. If a function does
+    not hold at the turned goal, but at the given one (k, n), the goal is not turned.
     """
     from cvqmpt_lab.constraints.function_checks import check_function  # few problems have one
 

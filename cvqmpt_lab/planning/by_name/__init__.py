@@ -22,9 +22,10 @@ class Planner:
     make: Callable[[str], Any]  # returns the `search.method.Method` of the name
     # problems of the suite place-task whose runs `cvqmpt check-tables` compares
     cases: tuple[int, ...] = ()
-    # quick: in every suite; slow: most of the time goes into runs that time out; seldom: in some
-    # suites; in-ompl: the paper's experiment, in suites of its own; unshipped: without weights;
-    # control: differs from a planner in one part, whose contribution it measures
+    # quick: in suites by default; slow: most of its time goes into runs that time out, so suites
+    # name it apart; seldom: in few suites; in-ompl: in the suites of the paper's experiment;
+    # unshipped: its weights are not in this package; control: differs from a planner in one part,
+    # to measure what that part contributes
     group: Literal["quick", "slow", "seldom", "in-ompl", "unshipped", "control"] = "quick"
     colour: str = ""  # in figures; empty: one that follows from the name
 
