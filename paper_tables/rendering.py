@@ -9,7 +9,7 @@ from cvqmpt_lab.base.files import write_text
 from cvqmpt_lab.benchmarks.declarations import SUITES
 from cvqmpt_lab.benchmarks.results.provenance import ProvenanceFile, digests_in, sessions
 from cvqmpt_lab.benchmarks.results.row import RUNS_FILE, ResultRow
-from cvqmpt_lab.benchmarks.results.store import directory_rows, ended_note
+from cvqmpt_lab.benchmarks.results.store import rows_and_note
 from cvqmpt_lab.paper_tables.layouts import place_table
 from cvqmpt_lab.paper_tables.statements import PublishedValue, read_published
 from cvqmpt_lab.paper_tables.table_engine import SuiteTable, rows_of_one_suite
@@ -52,12 +52,12 @@ def rendered_tables(directory: Path) -> Rendered:
 
     InvalidInputError: no readable runs with provenance.
     """
-    rows = directory_rows(directory)
+    rows, note = rows_and_note(directory)
     record = ProvenanceFile(directory).read()
     made, head = table_of(rows), _head(record, len(rows))
     title, label = title_of(made.suite), directory.resolve().name
     notes = [str(line) for line in made.sections.get("Notes", ())]
-    ended = [line for line in (ended_note(directory),) if line]
+    ended = [note] if note else []
     caption = f"{title}, {made.size}. In brackets: 95 % intervals. Bold: the best value."
     texts = {
         "table.md": "\n\n".join(

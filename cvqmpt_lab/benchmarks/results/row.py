@@ -223,9 +223,9 @@ class ResultRow:
         return self.problem.partition("/")[0]
 
 
-def ended_runs(rows: Iterable[ResultRow]) -> set[RowKey]:
-    """Return the keys of runs that the guard of worker processes ended: they have no result."""
-    return {row.run_key for row in rows if row.fail_reason is FailReason.WORKER_HUNG}
+def ended_runs(rows: Iterable[ResultRow]) -> dict[RowKey, ResultRow]:
+    """Return the runs that the guard of worker processes ended, by key: they have no result."""
+    return {row.run_key: row for row in rows if row.fail_reason is FailReason.WORKER_HUNG}
 
 
 def without_ended(rows: Sequence[ResultRow]) -> list[ResultRow]:

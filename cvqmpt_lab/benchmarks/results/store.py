@@ -22,10 +22,10 @@ from cvqmpt_lab.base.files import locked, make_folder, read_bytes, write_bytes
 from cvqmpt_lab.benchmarks.results.provenance import PROVENANCE_FILE, ProvenanceFile
 from cvqmpt_lab.benchmarks.results.row import (
     RUNS_FILE,
-    FailReason,
     ResultRow,
     RowKey,
     csv_text,
+    ended_runs,
     parse_rows,
     read_rows,
     sorted_rows,
@@ -171,9 +171,14 @@ class RunStore:
 
 
 def directory_rows(directory: Path) -> list[ResultRow]:
-    """Return the rows of a results directory, without runs that the guard ended.
+    """Return the rows of a results directory, see `rows_and_note`."""
+    return rows_and_note(directory)[0]
 
-    RunStoreError: there are none; the message has advice.
+
+def rows_and_note(directory: Path) -> tuple[list[ResultRow], str]:
+    """Return the rows without runs that the guard ended, and a sentence on these, or "".
+
+    RunStoreError: there are no rows; the message has advice.
     """
     advice = f"run an experiment with --out {directory} first"
     if not directory.is_dir():
@@ -190,17 +195,11 @@ def directory_rows(directory: Path) -> list[ResultRow]:
     counted = without_ended(rows)
     if not counted:
         raise RunStoreError(f"{directory}: every run was ended by the guard; repeat the command")
-    return counted
-
-
-def ended_note(directory: Path) -> str:
-    """Return a sentence on the runs that the guard of worker processes ended, or ""."""
-    rows = read_rows(directory / RUNS_FILE)
-    ended = {row.run_key: row for row in rows if row.fail_reason is FailReason.WORKER_HUNG}
+    ended = ended_runs(rows)
     if not ended:
-        return ""
+        return counted, ""
     first = next(iter(ended.values()))
-    return (
+    return counted, (
         f"Left out, also of shares: {len(ended)} runs that the guard of processor time ended, such "
         f"as {first.planner} on {first.problem} ({first.detail}). The same command runs them again."
     )
