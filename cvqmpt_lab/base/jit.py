@@ -399,12 +399,49 @@ def call_function(typing_context, address, arguments):
     return types.int64(types.int64, arguments), generate
 
 
-def called_at_address(called: Entry) -> Any:
+@intrinsic
+def placed(typing_context, arrays):
+    """Return a named tuple, in whose field `here` its address is written.
+
+    It lies on the stack of the entry that calls this: functions at addresses get one number in
+    place of a hundred, see `taken_from`.
+    """
+
+    def generate(context, builder, signature, values):
+        memory = cgutils.alloca_once(builder, values[0].type)
+        here = builder.ptrtoint(memory, ir.IntType(64))
+        filled = builder.insert_value(values[0], here, arrays.fields.index("here"))
+        builder.store(filled, memory)
+        return filled
+
+    return arrays(arrays), generate
+
+
+def taken_from(hint: Any) -> Any:
+    """Return a function of kernels that reads a named tuple (its class is hint) at an address."""
+
+    @intrinsic
+    def take(typing_context, address):
+        form = _numba_type(_Form("taken", hint))
+
+        def generate(context, builder, signature, values):
+            return builder.load(
+                builder.inttoptr(values[0], context.get_value_type(form).as_pointer())
+            )
+
+        return form(types.int64), generate
+
+    return take
+
+
+def called_at_address(called: Entry, result: types.Type = types.int64) -> Any:
     """Return a function of kernels that calls an entry without a copy of its machine code.
 
     Numba compiles a kernel again into every entry that calls it, directly or not. The returned
     function takes the `kernel_address` of the entry, which the caller must be given, and a tuple of
-    the arguments. The entry must return an int.
+    the arguments.
+
+    result: numba's type of what the entry returns.
     """
 
     @intrinsic
@@ -414,12 +451,12 @@ def called_at_address(called: Entry) -> Any:
 
         def generate(context, builder, signature, values):
             convention, given = context.call_conv, signature.args[1].types
-            form = convention.get_function_type(types.int64, given)
+            form = convention.get_function_type(result, given)
             pointer = builder.inttoptr(values[0], form.as_pointer())
             unpacked = cgutils.unpack_tuple(builder, values[1])
-            return convention.call_function(builder, pointer, types.int64, given, unpacked)[1]
+            return convention.call_function(builder, pointer, result, given, unpacked)[1]
 
-        return types.int64(types.int64, arguments), generate
+        return result(types.int64, arguments), generate
 
     return call
 

@@ -261,17 +261,12 @@ def _to_body(robot, piece, ball, other, pose, rate, margin, advance):
 
 @kernel(inline="source")
 def _between_bodies(r, t, robot, a, b, centre, rate, margin, advance):
-    """Advance of bodies a and b against each other; centre: of a's largest ball (x, y, z) [m]."""
-    xa, ya, za = centre
+    """Advance of bodies a and b against each other; centre: of b's largest ball (x, y, z) [m]."""
     la, lb = robot.body_link[a], robot.body_link[b]
     node, end, root = robot.body_start[a], robot.body_start[a + 1], robot.body_start[b]
-    xb, yb, zb = _placed(r, t, lb, robot.sphere, root)
-    limit = robot.sphere[node, 3] + robot.sphere[root, 3] + margin + rate * advance
-    if (xa - xb) * (xa - xb) + (ya - yb) * (ya - yb) + (za - zb) * (za - zb) > limit * limit:
-        return advance
     world = _world_in_link(r, t, la)
     pose = compose(r[lb], t[lb], world)
-    x, y, z = _moved(world, xb, yb, zb)
+    x, y, z = _moved(world, centre[0], centre[1], centre[2])
     while node < end:
         dx, dy, dz = robot.sphere[node, 0] - x, robot.sphere[node, 1] - y, robot.sphere[node, 2] - z
         limit = robot.sphere[node, 3] + robot.sphere[root, 3] + margin + rate * advance
@@ -299,7 +294,7 @@ def _rate(swing, motion):
 
 
 @kernel
-def safe_advance(link_rotation, link_translation, robot, scene, margin, motion, advance):
+def safe_advance(link_rotation, link_translation, robot, scene, margin, motion, advance, balls):
     """Largest advance for which a posed robot keeps a margin from obstacles and from itself.
 
     Args:
@@ -311,6 +306,7 @@ def safe_advance(link_rotation, link_translation, robot, scene, margin, motion, 
         motion: largest |dq_j| of each joint per metre of advance (n,) [rad/m]; not read if the
             advance is 0.
         advance: the largest one of interest [m].
+        balls: work array (bodies, 4): centre and radius of the largest ball of each body [m].
 
     Returns:
         The advance [m]; CONTACT in contact, or if a link pose is not finite.
@@ -325,17 +321,21 @@ def safe_advance(link_rotation, link_translation, robot, scene, margin, motion, 
         )
         if advance < 0.0:
             return CONTACT
-    placed = -1
-    centre = 0.0, 0.0, 0.0
+    for body in range(balls.shape[0]):
+        root = robot.body_start[body]
+        balls[body, 0], balls[body, 1], balls[body, 2] = _placed(
+            link_rotation, link_translation, robot.body_link[body], robot.sphere, root
+        )
+        balls[body, 3] = robot.sphere[root, 3]
     for k in range(robot.pairs.shape[0]):
         a, b = robot.pairs[k, 0], robot.pairs[k, 1]
-        if a != placed:
-            placed, link = a, robot.body_link[a]
-            centre = _placed(
-                link_rotation, link_translation, link, robot.sphere, robot.body_start[a]
-            )
         if advance > 0.0:
             rate = _rate(robot.pair_swing[k], motion)
+        x, y, z = balls[a, 0] - balls[b, 0], balls[a, 1] - balls[b, 1], balls[a, 2] - balls[b, 2]
+        limit = balls[a, 3] + balls[b, 3] + margin + rate * advance
+        if x * x + y * y + z * z > limit * limit:
+            continue
+        centre = balls[b, 0], balls[b, 1], balls[b, 2]
         advance = _between_bodies(
             link_rotation, link_translation, robot, a, b, centre, rate, margin, advance
         )
@@ -345,7 +345,7 @@ def safe_advance(link_rotation, link_translation, robot, scene, margin, motion, 
 
 
 @kernel(inline="source")
-def in_contact(link_rotation, link_translation, robot, scene, margin):
+def in_contact(link_rotation, link_translation, robot, scene, margin, balls):
     """Whether a posed robot comes within a margin of an obstacle or of itself.
 
     Args:
@@ -354,9 +354,13 @@ def in_contact(link_rotation, link_translation, robot, scene, margin):
         robot: a `RobotGeometry`.
         scene: a `SceneGeometry`.
         margin: [m].
+        balls: work array, see `safe_advance`.
 
     Returns:
         True in contact, or if a link pose is not finite.
     """
     unread = link_translation[0]
-    return safe_advance(link_rotation, link_translation, robot, scene, margin, unread, 0.0) < 0.0
+    return (
+        safe_advance(link_rotation, link_translation, robot, scene, margin, unread, 0.0, balls)
+        < 0.0
+    )

@@ -332,6 +332,7 @@ def sample_goals(
         # from a given posture, or along limits and bounds, progress may be slow
         Stopping(POSE_TOLERANCE, POSE_STEPS, on_stall=near is None and not project),
         projection_scratch(robot.kinematics, regions),
+        np.empty((len(world.robot_arrays.body_link), 4)),
         count,
         poses,
     )
@@ -514,6 +515,7 @@ def _reached(
         ),
         Stopping(POSE_TOLERANCE, 5 * POSE_STEPS, on_stall=False),
         projection_scratch(robot.kinematics, regions),
+        np.empty((len(world.robot_arrays.body_link), 4)),
         len(T),
         poses,
     )

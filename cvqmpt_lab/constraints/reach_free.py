@@ -86,6 +86,7 @@ def reach_free(
     starts: Attempts,
     stopping: Stopping,
     scratch: ProjectionScratch,
+    balls: Annotated[np.ndarray, "bodies 4"],
     wanted: int,
     poses: Poses,
 ):
@@ -100,6 +101,7 @@ def reach_free(
         starts: configurations that Newton's method starts from.
         stopping: when it ends.
         scratch: work arrays.
+        balls: work array, see `checker.safe_advance`.
         wanted: number of configurations.
         poses: configurations and verdicts are written.
 
@@ -133,7 +135,9 @@ def reach_free(
         if newton(kinematics, regions, q, tolerance, max_iterations, stop_on_stall, scratch) < 0:
             poses.verdict[i] = max(poses.verdict[i], UNREACHABLE_POSE)
             continue
-        if in_contact(scratch.link_rotation, scratch.link_translation, robot, scene, margin):
+        if in_contact(
+            scratch.link_rotation, scratch.link_translation, robot, scene, margin, balls
+        ):
             poses.verdict[i] = COLLIDING_POSE
             continue
         poses.verdict[i] = REACHED_POSE

@@ -13,7 +13,7 @@ from cvqmpt_lab.planning.planners import planner_named, require_fit
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import panda
 from cvqmpt_lab.scene.scene import Scene
-from cvqmpt_lab.search.birrt import BiRRT, plant, remove_child_of_segment
+from cvqmpt_lab.search.birrt import BiRRT, plant, remove_subtree
 from cvqmpt_lab.search.method import Method
 from cvqmpt_lab.search.planner_interface import Observation, Proposal, Query, search
 from cvqmpt_lab.search.result import Budget, JointPath
@@ -100,4 +100,4 @@ def _through_stages(problem: PlanningProblem, method: Method, backend: str) -> N
     simplify(space, still, rng, attempts=16)
     trees = plant(problem.start, problem.goals, capacity=8)
     # a search calls it only after a failed fine check
-    remove_child_of_segment(trees, np.zeros((2, 2), dtype=np.int64), 0)
+    remove_subtree(trees, 0, 0)

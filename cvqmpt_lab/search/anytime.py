@@ -16,7 +16,7 @@ from typing import Annotated
 import numpy as np
 
 from cvqmpt_lab.base.errors import InvalidInputError
-from cvqmpt_lab.base.jit import entry
+from cvqmpt_lab.base.jit import entry, placed
 from cvqmpt_lab.search.birrt import BiRRT
 from cvqmpt_lab.search.edge_costs import EdgeCosts
 from cvqmpt_lab.search.lazy_roadmap import CHECKED_FREE
@@ -66,6 +66,7 @@ def keep_informed(
     Returns:
         Number of draws at the front.
     """
+    space = placed(space)
     kept = 0
     for i in range(draws.shape[0]):
         for j in range(draws.shape[1]):

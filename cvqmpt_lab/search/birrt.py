@@ -12,7 +12,8 @@ Samples come from any distribution; with the uniform one this is CBiRRT. A draw 
 (F(q) = 0, paper, Algorithm 1) before the trees extend towards it, as in the paper ("Generating
 samples"); if the projection fails, another draw is made. Every state of an extension is projected
 and checked as well. A path between both trees is then checked finely. If a motion of it collides
-between its states, the motion is removed from its tree and the search continues.
+between its states, the motion is removed from its tree and the search continues; motions that were
+proven to be free are not checked again.
 """
 
 from dataclasses import dataclass
@@ -21,7 +22,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 
 from cvqmpt_lab.base.errors import InvalidInputError, UnknownChoiceError
-from cvqmpt_lab.base.jit import entry, kernel
+from cvqmpt_lab.base.jit import entry, kernel, placed
 from cvqmpt_lab.search.motion import (
     DRAW_NEWTON_ITERATIONS,
     DRAW_PROJECTIONS,
@@ -63,6 +64,8 @@ class Trees(NamedTuple):
 
     nodes: Annotated[np.ndarray, "2 capacity n"]  # configurations [rad or m]
     parent: Annotated[np.ndarray, "int64 2 capacity"]  # -1 for roots
+    # whether the motion from the parent was refined and proven to be free
+    proven: Annotated[np.ndarray, "bool 2 capacity"]
     size: Annotated[np.ndarray, "int64 2"]  # number of nodes in each tree
     meeting: Annotated[np.ndarray, "int64 2"]  # one node of each tree, equal, when CONNECTED
     turn: Annotated[np.ndarray, "int64 1"]  # row of the tree that extends next
@@ -78,6 +81,7 @@ def plant(start: np.ndarray, goals: np.ndarray, capacity: int) -> Trees:
     trees = Trees(
         nodes=np.empty((2, capacity, len(start))),
         parent=np.full((2, capacity), -1, dtype=np.int64),
+        proven=np.zeros((2, capacity), dtype=bool),
         size=np.array([1, len(goals)]),
         meeting=np.zeros(2, dtype=np.int64),
         turn=np.zeros(1, dtype=np.int64),
@@ -101,8 +105,9 @@ def enlarged_trees(trees: Trees, most_bytes: int = 2**30) -> Trees:
         )
     nodes = np.concatenate([trees.nodes, np.empty_like(trees.nodes)], axis=1)
     parent = np.concatenate([trees.parent, np.full_like(trees.parent, -1)], axis=1)
+    proven = np.concatenate([trees.proven, np.zeros_like(trees.proven)], axis=1)
     nearest = enlarged_index(trees.nearest, nodes.shape[1])
-    return trees._replace(nodes=nodes, parent=parent, nearest=nearest)
+    return trees._replace(nodes=nodes, parent=parent, proven=proven, nearest=nearest)
 
 
 @kernel(inline="source")
@@ -189,6 +194,7 @@ def grow(
         GROWING (no draw is left), CONNECTED (trees.meeting holds the nodes) or FULL (no space for
         more nodes); the row of the next draw; and the number of draws that became samples.
     """
+    space = placed(space)
     reserve = trees.nodes.shape[1] // 4
     nodes, parent, size = trees.nodes, trees.parent, trees.size
     used = 0
@@ -232,66 +238,48 @@ def grow(
 def extract_path(
     trees: Trees,
     out: Annotated[np.ndarray, "longest n"],
-    origin: Annotated[np.ndarray, "int64 longest 2"],
+    child: Annotated[np.ndarray, "int64 longest 2"],
 ):
     """Write the path through the meeting nodes.
 
     Args:
         trees: CONNECTED ones.
         out: states of the path [rad or m], written; as many rows as both trees have nodes.
-        origin: tree and node of each state, written; as many rows as `out`.
+        child: written for each motion between two states: its tree, and its node that is further
+            from the root.
 
     Returns:
         Number of states of the path.
     """
-    count, node = 0, trees.meeting[0]
-    while node >= 0:
-        origin[count, 0], origin[count, 1] = 0, node
-        count += 1
-        node = trees.parent[0, node]
-    for i in range(count // 2):
-        swap = origin[i, 1]
-        origin[i, 1] = origin[count - 1 - i, 1]
-        origin[count - 1 - i, 1] = swap
-    node = trees.parent[1, trees.meeting[1]]  # the meeting state is a node of both trees
-    while node >= 0:
-        origin[count, 0], origin[count, 1] = 1, node
-        count += 1
-        node = trees.parent[1, node]
-    for i in range(count):
+    depth, node = 0, trees.meeting[0]
+    while trees.parent[0, node] >= 0:
+        depth, node = depth + 1, trees.parent[0, node]
+    node = trees.meeting[0]
+    for i in range(depth, -1, -1):
         for j in range(out.shape[1]):
-            out[i, j] = trees.nodes[origin[i, 0], origin[i, 1], j]
+            out[i, j] = trees.nodes[0, node, j]
+        if i > 0:
+            child[i - 1, 0], child[i - 1, 1] = 0, node
+        node = trees.parent[0, node]
+    count, node = depth + 1, trees.meeting[1]  # the meeting state is a node of both trees
+    while trees.parent[1, node] >= 0:
+        child[count - 1, 0], child[count - 1, 1] = 1, node
+        node = trees.parent[1, node]
+        for j in range(out.shape[1]):
+            out[count, j] = trees.nodes[1, node, j]
+        count += 1
     return count
 
 
-@kernel
-def remove_subtree(trees, which, root):
+@entry
+def remove_subtree(trees: Trees, which: int, root: int):
     """Exclude the node `root` of a tree and all its descendants from the search."""
-    nodes, parent = trees.nodes[which], trees.parent[which]
+    nodes, parent, nearest = trees.nodes[which], trees.parent[which], trees.nearest
+    nearest.copied[which] = nearest.indexed[which]
     nodes[root, 0] = REMOVED_NODE_RAD
     for i in range(root + 1, trees.size[which]):
         if parent[i] >= 0 and nodes[parent[i], 0] == REMOVED_NODE_RAD:
             nodes[i, 0] = REMOVED_NODE_RAD
-
-
-@entry
-def remove_child_of_segment(
-    trees: Trees, origin: Annotated[np.ndarray, "int64 longest 2"], segment: int
-):
-    """Remove the motion from a path's state `segment` to the next one from its tree.
-
-    Args:
-        trees: the trees that the path was extracted from.
-        origin: as `extract_path` wrote it.
-        segment: number of the motion's first state.
-    """
-    later_in_start_tree = origin[segment + 1, 0] == 0
-    if later_in_start_tree:
-        remove_subtree(trees, 0, origin[segment + 1, 1])
-    elif origin[segment, 0] == 1:
-        remove_subtree(trees, 1, origin[segment, 1])
-    else:
-        remove_subtree(trees, 1, trees.meeting[1])
 
 
 @dataclass(frozen=True)
@@ -411,13 +399,17 @@ def result_trees(trees: Trees) -> tuple[Tree, Tree]:
 def checked_tree_path(space: ConstrainedSpace, trees: Trees) -> JointPath | None:
     """Return the path through the meeting nodes if it passes the fine check.
 
-    Otherwise remove the motion that fails from its tree and return None.
+    Otherwise remove the motion that fails from its tree and return None. What is proven is kept in
+    the trees and not proven again.
     """
     capacity = int(trees.size.sum())
     states = np.empty((capacity, trees.nodes.shape[2]))
-    origin = np.empty((capacity, 2), dtype=np.int64)
-    count = extract_path.unchecked(trees, states, origin)
-    path, bad = space.checked_path(states[:count])
+    child = np.empty((capacity, 2), dtype=np.int64)
+    count = extract_path.unchecked(trees, states, child)
+    tree, node = child[: count - 1].T
+    proven = trees.proven[tree, node]
+    path, bad = space.checked_path(states[:count], proven)
+    trees.proven[tree, node] = proven
     if path is None:
-        remove_child_of_segment.unchecked(trees, origin, bad)
+        remove_subtree.unchecked(trees, int(tree[bad]), int(node[bad]))
     return path

@@ -15,7 +15,7 @@ from typing import Annotated
 
 import numpy as np
 
-from cvqmpt_lab.base.jit import entry, kernel
+from cvqmpt_lab.base.jit import entry, kernel, placed
 from cvqmpt_lab.search.birrt import (
     CONNECTED,
     FULL,
@@ -94,13 +94,14 @@ def _join(space, grids, trees, a, node, farthest):
     if states == 0 or not segment_valid(space, q, grids.motion[0]):
         return False
     motion = grids.motion[:states]
-    if refine_and_check(space, motion, grids.refined, grids.segment)[1] >= 0:
+    if refine_and_check(space, motion, grids.refined, grids.segment, True)[1] >= 0:
         return False
     for k in range(states):
         new = trees.size[a]
         for j in range(q.shape[0]):
             trees.nodes[a, new, j] = grids.motion[k, j]
         trees.parent[a, new] = node
+        trees.proven[a, new] = True
         trees.size[a] = new + 1
         node = new
     trees.meeting[a], trees.meeting[b] = node, other
@@ -142,6 +143,7 @@ def grow_cells(
         GROWING (no walk or work is left), CONNECTED (trees.meeting holds the nodes) or FULL (no
         space for more nodes or cells), and the row of the next walk.
     """
+    space = placed(space)
     counters, limit = space.counters, trees.nodes.shape[1]
     longest = grids.motion.shape[0]
     for i in range(first, shifts.shape[0]):
@@ -172,6 +174,7 @@ def grow_cells(
                 break
             left -= distance(nodes[node], nodes[new])
             parent[new] = node
+            trees.proven[a, new] = True
             trees.size[a] = new + 1
             place_node(space, grids, a, nodes, new)
             node = new

@@ -3,7 +3,7 @@
 A lazy probabilistic roadmap (Bohlin and Kavraki 2000): A* assumes that every node and edge is free
 unless it is known to be blocked. The nodes of the path that A* returns are projected and checked,
 then its edges, coarsely. Those that fail are blocked, and A* runs again. The caller makes the fine
-check and blocks the edges that fail it. An edge from a to b that is not yet checked costs
+check, blocks the edges that fail it, and keeps which edges passed. An edge from a to b that is not yet checked costs
 
     (f(a) + f(b)) / 2 * |b - a| - w log P(free),    f(q) = 1 + penalty |F(q)|
 
@@ -16,7 +16,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 
 from cvqmpt_lab.base.heap import drop_smallest, push
-from cvqmpt_lab.base.jit import entry, kernel
+from cvqmpt_lab.base.jit import entry, kernel, placed
 from cvqmpt_lab.constraints.regions import residual
 from cvqmpt_lab.robot.kinematics import forward_kinematics
 from cvqmpt_lab.search.edge_costs import (
@@ -35,7 +35,8 @@ from cvqmpt_lab.search.motion import (
     state_valid,
 )
 
-UNCHECKED, CHECKED_FREE, BLOCKED = range(3)  # results of checks of nodes and edges
+# results of checks of nodes and edges; PROVEN_FREE: an edge that passed the fine check
+UNCHECKED, BLOCKED, CHECKED_FREE, PROVEN_FREE = range(4)
 NO_PATH = 0  # returned in place of a number of states
 
 
@@ -48,7 +49,7 @@ class RoadmapArrays(NamedTuple):
 
     nodes: Annotated[np.ndarray, "rows n"]  # configurations, projected in place [rad or m]
     neighbours: Annotated[np.ndarray, "int32 inner links"]  # rows that edges lead to, or -1
-    edge: Annotated[np.ndarray, "int8 inner links"]  # UNCHECKED, CHECKED_FREE or BLOCKED
+    edge: Annotated[np.ndarray, "int8 inner links"]  # UNCHECKED, BLOCKED, CHECKED_ or PROVEN_FREE
     # the same for edges from each row to each goal; BLOCKED where there is no edge
     goal_edge: Annotated[np.ndarray, "int8 inner goals"]
     node: Annotated[np.ndarray, "int8 rows"]  # the same for nodes
@@ -231,7 +232,7 @@ def _astar(space, roadmap, costs):
                 continue
             weight = 0.5 * (_factor(space, roadmap, here) + _factor(space, roadmap, there))
             cost = roadmap.cost[here] + weight * length
-            final = verdict == CHECKED_FREE or costs.weight == 0.0
+            final = verdict >= CHECKED_FREE or costs.weight == 0.0
             if not final:
                 state = _end_state(roadmap, here, there)
                 # an end was projected since the clearances were read
@@ -266,7 +267,7 @@ def _astar(space, roadmap, costs):
                 continue
             verdict = roadmap.edge[row, slot] if slot < k else roadmap.goal_edge[row, slot - k]
             cost, left, cheapest = key - roadmap.to_go[there], 0, True
-            if verdict != CHECKED_FREE and costs.weight > 0.0:
+            if verdict < CHECKED_FREE and costs.weight > 0.0:
                 left = readings(costs, distance(roadmap.nodes[row], roadmap.nodes[there]))
                 left -= roadmap.clearances_read[row, slot]
             while cheapest and left > 0:
@@ -303,6 +304,13 @@ def _node_free(space, roadmap, i, drift):
 
 
 @kernel(inline="source")
+def _verdict(roadmap, a, b):
+    """Return the verdict on the edge from row a to row b that the last search used."""
+    slot, k = np.int64(roadmap.slot[b]), roadmap.neighbours.shape[1]
+    return roadmap.goal_edge[a, slot - k] if slot >= k else roadmap.edge[a, slot]
+
+
+@kernel(inline="source")
 def _store_verdict(roadmap, a, b, verdict):
     """Store the verdict on the edge from row a to row b that the last search used.
 
@@ -310,7 +318,7 @@ def _store_verdict(roadmap, a, b, verdict):
         roadmap: changed in place; also the edge from b to a.
         a: row of the edge's first node.
         b: row of its last node.
-        verdict: CHECKED_FREE or BLOCKED.
+        verdict: BLOCKED, CHECKED_FREE or PROVEN_FREE.
     """
     slot, k = np.int64(roadmap.slot[b]), roadmap.neighbours.shape[1]
     if slot >= k:
@@ -323,7 +331,7 @@ def _store_verdict(roadmap, a, b, verdict):
 
 
 @kernel(inline="source")
-def _join_nodes(space, roadmap, path, length, ends, states):
+def _join_nodes(space, roadmap, path, length, ends, states, proven):
     """Check the edges of a path coarsely and write the states along them.
 
     Args:
@@ -333,6 +341,7 @@ def _join_nodes(space, roadmap, path, length, ends, states):
         length: number of these nodes.
         ends: written, number of states up to the end of each edge.
         states: written.
+        proven: written, whether the motion after each state passed the fine check before.
 
     Returns:
         Number of states, or NO_PATH if an edge is blocked.
@@ -347,7 +356,11 @@ def _join_nodes(space, roadmap, path, length, ends, states):
         if added == 0:
             _store_verdict(roadmap, a, b, BLOCKED)
             return NO_PATH
-        _store_verdict(roadmap, a, b, CHECKED_FREE)
+        was_proven = _verdict(roadmap, a, b) == PROVEN_FREE
+        if not was_proven:
+            _store_verdict(roadmap, a, b, CHECKED_FREE)
+        for k in range(size - 1, size - 1 + added):
+            proven[k] = was_proven
         size += added
         ends[i] = size
     return size
@@ -363,6 +376,7 @@ def search(
     path: Annotated[np.ndarray, "int64 longest"],
     ends: Annotated[np.ndarray, "int64 longest"],
     states: Annotated[np.ndarray, "room n"],
+    proven: Annotated[np.ndarray, "bool room"],
 ):
     """Find the shortest path that passes the coarse checks; its motions are not checked finely.
 
@@ -375,11 +389,13 @@ def search(
         path: written, rows of the path's nodes from goal to start.
         ends: written, number of states up to the end of each edge.
         states: written, states of the path [rad or m].
+        proven: written, whether the motion after each state passed the fine check before.
 
     Returns:
         Number of states, or NO_PATH when there is no path, none within most_searches, or one with
         too many nodes; number of nodes on the last candidate path; number of searches.
     """
+    space = placed(space)
     length = 0
     for searched in range(most_searches):
         row, length = _astar(space, roadmap, costs), 0
@@ -396,7 +412,7 @@ def search(
                 good = False
         if not good:
             continue
-        size = _join_nodes(space, roadmap, path, length, ends, states)
+        size = _join_nodes(space, roadmap, path, length, ends, states, proven)
         if size == NO_PATH:
             continue
         return size, length, searched + 1
@@ -404,23 +420,32 @@ def search(
 
 
 @entry
-def block_state(
+def store_check(
     roadmap: RoadmapArrays,
     path: Annotated[np.ndarray, "int64 longest"],
     ends: Annotated[np.ndarray, "int64 longest"],
     length: int,
-    state: int,
+    proven: Annotated[np.ndarray, "bool room"],
+    bad: int,
 ):
-    """Block the edge of the last path found that contains the motion after one of its states.
+    """Store the fine check of the last path found.
 
     Args:
-        roadmap: changed in place.
+        roadmap: changed in place: edges whose motions are all proven become PROVEN_FREE, the edge
+            with the motion that failed becomes BLOCKED.
         path: as `search` wrote it.
         ends: as `search` wrote it.
         length: number of the path's nodes.
-        state: number of the motion's first state; -1: no edge is blocked.
+        proven: whether the motion after each state passed the check.
+        bad: number of the motion that failed; -1: none.
     """
+    first = 0
     for i in range(length - 2, -1, -1):
-        if state + 1 < ends[i]:
+        last, all_proven = ends[i] - 1, True
+        for k in range(first, last):
+            all_proven = all_proven and proven[k]
+        if first <= bad < last:
             _store_verdict(roadmap, path[i + 1], path[i], BLOCKED)
-            return
+        elif all_proven:
+            _store_verdict(roadmap, path[i + 1], path[i], PROVEN_FREE)
+        first = last

@@ -7,7 +7,16 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.base.jit import call_address, called_at_address, entry, kernel
+from numba import types
+
+from cvqmpt_lab.base.jit import (
+    call_address,
+    called_at_address,
+    entry,
+    kernel,
+    placed,
+    taken_from,
+)
 from cvqmpt_lab.collision.checker import CONTACT, safe_advance
 from cvqmpt_lab.collision.geometry import RobotGeometry, SceneGeometry
 from cvqmpt_lab.constraints.project import ProjectionScratch, project
@@ -59,11 +68,40 @@ class Space(NamedTuple):
     state: Annotated[np.ndarray, "n"]  # work array
     scratch: ProjectionScratch  # work arrays of projections
     ends: Annotated[np.ndarray, "2 n"]  # work array of `motion_free`
+    proven: Annotated[np.ndarray, "int64 1"]  # segments that the last `blocked_segment` proved
     # largest |dq_j| of each joint per metre of sweep on a stretch, see `blocked_segment`
     motion: Annotated[np.ndarray, "n"]
+    balls: Annotated[np.ndarray, "bodies 4"]  # work array of `safe_advance`
     # addresses of entries that are called without a copy of their machine code
+    projection: int  # of `project_at`
+    advance: int  # of `advance_at`
     bisection: int  # of `bisect_motion`
     proof: int  # of `blocked_segment`
+    here: int = 0  # address of this tuple, written by `placed` where an entry begins
+
+
+_space_at = taken_from(Space)
+
+
+@entry
+def project_at(here: int, q: Annotated[np.ndarray, "n"]):
+    """Project q (n,) in place and count it, in the space at an address.
+
+    Returns:
+        Number of Newton steps; negative if the projection failed. The scratch then holds the link
+        poses.
+    """
+    space = _space_at(here)
+    iterations = project(
+        space.kinematics, space.regions, q, space.tolerance, space.max_iterations, space.scratch
+    )
+    if space.scratch.residual.shape[0] > 0:
+        space.counters[PROJECTIONS] += 1
+        space.counters[NEWTON_ITERATIONS] += iterations if iterations >= 0 else -1 - iterations
+    return iterations
+
+
+_projection = called_at_address(project_at)
 
 
 @kernel(inline="source")
@@ -73,13 +111,7 @@ def project_state(space, q):
     Returns:
         True on success; the scratch then holds the link poses.
     """
-    iterations = project(
-        space.kinematics, space.regions, q, space.tolerance, space.max_iterations, space.scratch
-    )
-    if space.scratch.residual.shape[0] > 0:
-        space.counters[PROJECTIONS] += 1
-        space.counters[NEWTON_ITERATIONS] += iterations if iterations >= 0 else -1 - iterations
-    return iterations >= 0
+    return _projection(space.projection, (space.here, q)) >= 0
 
 
 @kernel(inline="source")
@@ -95,15 +127,17 @@ def _near_doubtful(space, q):
     return False
 
 
-@kernel(inline="source")
-def _posed_advance(space, q, advance):
-    """Return the largest advance [m] for which the robot keeps space.margin, or CONTACT.
+@entry
+def advance_at(here: int, q: Annotated[np.ndarray, "n"], advance: float):
+    """Return the largest advance [m] for which the robot keeps the margin of a space, or CONTACT.
 
-    The scratch holds the link poses of q, `space.motion` the motion of the joints; see
-    `checker.safe_advance`. The exact backend checks the state alone.
-
-    advance: the largest one of interest [m].
+    Args:
+        here: address of the space. Its scratch holds the link poses of q, its `motion` the motion
+            of the joints, see `checker.safe_advance`. The exact backend checks the state alone.
+        q: (n,) [rad or m].
+        advance: the largest one of interest [m].
     """
+    space = _space_at(here)
     space.counters[STATE_CHECKS] += 1
     if not space.exact:
         advance = safe_advance(
@@ -114,12 +148,22 @@ def _posed_advance(space, q, advance):
             space.margin,
             space.motion,
             advance,
+            space.balls,
         )
         if advance >= 0.0 or not _near_doubtful(space, q):
             return advance
     for j in range(q.shape[0]):
         space.query[j] = q[j]
     return 0.0 if call_address(space.check) else CONTACT
+
+
+_advance = called_at_address(advance_at, types.float64)
+
+
+@kernel(inline="source")
+def _posed_advance(space, q, advance):
+    """Call `advance_at` at its address."""
+    return _advance(space.advance, (space.here, q, advance))
 
 
 @kernel(inline="source")
@@ -144,6 +188,7 @@ def states_valid(
     out: Annotated[np.ndarray, "bool count"],
 ):
     """Write whether each configuration (b, n) is free of collision into out (b,) bool."""
+    space = placed(space)
     for i in range(configurations.shape[0]):
         out[i] = state_valid(space, configurations[i])
 
@@ -218,6 +263,7 @@ def bisect_motion(
         Number of states; 0 when a projection fails, a state collides, or two neighbours are too far
         apart.
     """
+    space = placed(space)
     pieces = 1
     while distance(origin, target) > MAX_BISECTED_STEPS * space.step * pieces:
         pieces *= 2
@@ -362,6 +408,7 @@ def _set_motion(space, states, count, begin, end):
 def _blocked_for_exact(space, states, count):
     """Return as `blocked_segment`, for the exact backend: states every space.resolution."""
     for i in range(count - 1):
+        space.proven[0] = i
         pieces = 1
         while distance(states[i], states[i + 1]) > space.resolution * pieces:
             pieces *= 2
@@ -369,6 +416,7 @@ def _blocked_for_exact(space, states, count):
             _place_between(space, states[i], states[i + 1], k / pieces)
             if not posed_state_valid(space, space.state):
                 return i
+    space.proven[0] = count - 1
     return -1
 
 
@@ -387,16 +435,19 @@ def blocked_segment(space: Space, states: Annotated[np.ndarray, "count n"], coun
     all bodies [m]. The check goes forward by what the last distances proved, twice as far as they
     reach. A stretch that is not proven is halved until its sweep is at most the margin that every
     free state keeps. The exact backend computes no distances: it checks states every
-    space.resolution.
+    space.resolution. Afterwards space.proven holds the number of segments, from the first one on,
+    that are proven to be free.
 
     Args:
         space: the planning space.
         states: the path [rad or m]; the first state is not in collision.
         count: number of its states.
     """
+    space = placed(space)
     finest = 5e-5  # [m] least way of a point between states that are checked
     longest = 0.4  # [m] largest sweep that is proven to both sides of a state
     beyond = 2.5  # asked distance over the distance to the proven part
+    space.proven[0] = 0
     if count < 2:
         return -1
     if space.exact:
@@ -420,6 +471,7 @@ def blocked_segment(space: Space, states: Annotated[np.ndarray, "count n"], coun
         _place_between(space, states[i], states[i + 1], place - i)
         advance = _posed_advance(space, space.state, wanted)
         if advance == CONTACT:
+            space.proven[0] = int(done)
             return i
         advance = max(advance, shortest)
         end = _moved_along(space, states, count, place, advance)
@@ -434,6 +486,7 @@ def blocked_segment(space: Space, states: Annotated[np.ndarray, "count n"], coun
                 left, done = ahead_left, ahead_done
             ahead_begin = -np.inf
         if left <= 0.0:
+            space.proven[0] = count - 1
             return -1
         half = min(0.7 * advance, longest / beyond)
 
@@ -450,6 +503,7 @@ def path_blocked(space, states, count):
 @entry
 def motion_free(space: Space, a: Annotated[np.ndarray, "n"], b: Annotated[np.ndarray, "n"]):
     """Whether b and every state of the straight joint motion towards it are free of collision."""
+    space = placed(space)
     for j in range(a.shape[0]):
         space.ends[0, j], space.ends[1, j] = a[j], b[j]
     return path_blocked(space, space.ends, 2) < 0
@@ -467,6 +521,7 @@ def refine_and_check(
     states: Annotated[np.ndarray, "count n"],
     out: Annotated[np.ndarray, "capacity n"],
     segment: Annotated[np.ndarray, "int64 capacity"],
+    check: bool,
 ):
     """Copy a path, insert projected states where it leaves the manifold, and check all motions.
 
@@ -476,11 +531,13 @@ def refine_and_check(
         out: (capacity, n), written.
         segment: (capacity,), written: the segment of `states` that ends at, or contains, each state
             of out.
+        check: whether motions are checked; False: they are known to be free.
 
     Returns:
-        Number of states in out, and a segment of `states` that cannot be refined or is not free, or
-        -1.
+        Number of states in out; a segment of `states` that cannot be refined or is not free, or -1;
+        and the number of segments, from the first one on, that are refined and free.
     """
+    space = placed(space)
     count, n = states.shape
     most_halvings = 8  # per segment
     last = out.shape[0] - 1  # the last rows of out hold states that come later, the next one first
@@ -493,7 +550,7 @@ def refine_and_check(
             out[last, j] = states[i, j]
         while waiting > 0:
             if written + most_halvings + 1 > last:
-                return written, i - 1
+                return written, i - 1, 0
             before, after = out[written - 1], out[last - waiting + 1]
             if distance(before, after) > MAX_LENGTH_RATIO * space.step or not chord_on_manifold(
                 space, before, after
@@ -501,7 +558,7 @@ def refine_and_check(
                 for j in range(n):
                     out[last - waiting, j] = 0.5 * (before[j] + after[j])
                 if waiting > most_halvings or not project_state(space, out[last - waiting]):
-                    return written, i - 1
+                    return written, i - 1, 0
                 waiting += 1
                 continue
             for j in range(n):
@@ -509,8 +566,10 @@ def refine_and_check(
             segment[written] = i - 1
             written += 1
             waiting -= 1
-    blocked = path_blocked(space, out, written)
-    return written, segment[blocked + 1] if blocked >= 0 else -1
+    blocked = path_blocked(space, out, written) if check else -1
+    if blocked < 0:
+        return written, -1, count - 1
+    return written, segment[blocked + 1], segment[space.proven[0] + 1]
 
 
 @entry
@@ -535,6 +594,7 @@ def edge_verdicts(
     Returns:
         False if the check ended early because most_checks was reached.
     """
+    space = placed(space)
     checks = space.counters[STATE_CHECKS] + most_checks
     for e in range(edges.shape[0]):
         if space.counters[STATE_CHECKS] > checks:

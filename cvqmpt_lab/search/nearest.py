@@ -24,6 +24,11 @@ class NearestIndex(NamedTuple):
     # lower and upper corner of the nodes below each inner node and leaf, heap by heap [rad or m]
     box: Annotated[np.ndarray, "2 boxes 2 n"]
     indexed: Annotated[np.ndarray, "int64 2"]  # nodes in the index, a multiple of NODES_PER_BLOCK
+    # coordinates of the nodes after the last block, joint by joint: processors compare four of them
+    # at once [rad or m]
+    recent: Annotated[np.ndarray, "2 n block"]
+    copied: Annotated[np.ndarray, "int64 2"]  # nodes that are in the index or in `recent`
+    square: Annotated[np.ndarray, "block"]  # work array: their squared distances [rad^2]
     stack: Annotated[np.ndarray, "int64 levels"]  # work array: boxes still to be searched
     bound: Annotated[np.ndarray, "levels"]  # work array: their squared distances [rad^2]
 
@@ -36,6 +41,9 @@ def nearest_index(capacity: int, n: int) -> NearestIndex:
         np.zeros((2, capacity), dtype=np.int32),
         np.empty((2, 2 * capacity // NODES_PER_LEAF, 2, n)),
         np.zeros(2, dtype=np.int64),
+        np.empty((2, n, NODES_PER_BLOCK)),
+        np.zeros(2, dtype=np.int64),
+        np.empty(NODES_PER_BLOCK),
         np.zeros(64, dtype=np.int64),
         np.zeros(64),
     )
@@ -46,7 +54,7 @@ def enlarged_index(index: NearestIndex, capacity: int) -> NearestIndex:
     larger = nearest_index(capacity, index.box.shape[3])
     larger.order[:, : index.order.shape[1]] = index.order
     larger.box[:, : index.box.shape[1]] = index.box
-    larger.indexed[:] = index.indexed
+    larger.indexed[:] = larger.copied[:] = index.indexed
     return larger
 
 
@@ -109,7 +117,7 @@ def _build(nodes, order, box, first, count):
 
 @kernel
 def index_new_nodes(index, tree, nodes, size):
-    """Add all complete blocks of a tree's nodes to its index.
+    """Add all complete blocks of a tree's nodes to its index, and copy the nodes after them.
 
     Args:
         index: changed in place.
@@ -124,7 +132,11 @@ def index_new_nodes(index, tree, nodes, size):
         first = end * NODES_PER_BLOCK - count
         box = index.box[tree, 2 * first // NODES_PER_LEAF :]
         _build(nodes, index.order[tree], box, first, count)
-        index.indexed[tree] = end * NODES_PER_BLOCK
+        index.indexed[tree] = index.copied[tree] = end * NODES_PER_BLOCK
+    for i in range(index.copied[tree], size):
+        for j in range(nodes.shape[1]):
+            index.recent[tree, j, i - index.indexed[tree]] = nodes[i, j]
+    index.copied[tree] = size
 
 
 @kernel(inline="machine")
@@ -195,17 +207,24 @@ def nearest_node(index, tree, nodes, size, target):
     """Return argmin_i |nodes_i - target|; of several nearest nodes, the one with the lowest number.
 
     Args:
-        index: of both trees' nodes.
+        index: of both trees' nodes, after `index_new_nodes`.
         tree: 0 or 1.
         nodes: configurations (capacity, n) [rad or m].
         size: number of nodes that the tree has.
         target: (n,) [rad or m].
     """
     best, nearest = np.inf, np.int64(0)
-    for i in range(index.indexed[tree], size):
-        square = _square(nodes, i, target)
-        if square < best:
-            best, nearest = square, np.int64(i)
+    begin = index.indexed[tree]
+    squares = index.square[: size - begin]
+    for i in range(squares.shape[0]):
+        squares[i] = 0.0
+    for j in range(target.shape[0]):
+        recent, value = index.recent[tree, j], target[j]
+        for i in range(squares.shape[0]):
+            squares[i] += (recent[i] - value) * (recent[i] - value)
+    for i in range(squares.shape[0]):
+        if squares[i] < best:
+            best, nearest = squares[i], begin + i
     first, left = np.int64(0), index.indexed[tree]
     while left > 0:
         count = np.int64(NODES_PER_BLOCK)

@@ -305,16 +305,22 @@ class RoadmapQuery:
         """
         path, ends = np.empty((2, 256), dtype=np.int64)  # for paths of at most 256 nodes
         states = np.empty((64 * len(path), self.graph.nodes.shape[1]))
+        proven = np.empty(len(states), dtype=bool)
         arrays = self._space.arrays._replace(step=self._settings.step)
-        length, bad = 0, -1
         most_work, block = self._space.work + work, 16 if work == np.inf else 4
         while self._left > 0 and self._space.work < most_work and deadline.spent() is None:
-            # the edge that failed the fine check of the last path
-            kernels.block_state.unchecked(self.graph, path, ends, length, bad)
             # number of searches before the clock is read
             most = min(self._left, block, deadline.rest().iterations or block)
             size, length, searched = kernels.search.unchecked(
-                arrays, self.graph, self._costs, most, self._settings.drift, path, ends, states
+                arrays,
+                self.graph,
+                self._costs,
+                most,
+                self._settings.drift,
+                path,
+                ends,
+                states,
+                proven,
             )
             self._space.reraise()
             self._left -= searched
@@ -324,9 +330,9 @@ class RoadmapQuery:
             if size == kernels.NO_PATH:
                 if searched < most:
                     break
-                length = 0
                 continue
-            found, bad = self._space.checked_path(states[:size])
+            found, bad = self._space.checked_path(states[:size], proven[: size - 1])
+            kernels.store_check.unchecked(self.graph, path, ends, length, proven, bad)
             if found is not None:
                 return found
         return None

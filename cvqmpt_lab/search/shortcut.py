@@ -6,7 +6,7 @@ from typing import Annotated
 
 import numpy as np
 
-from cvqmpt_lab.base.jit import entry, kernel
+from cvqmpt_lab.base.jit import entry, kernel, placed
 from cvqmpt_lab.search.motion import (
     Space,
     chord_on_manifold,
@@ -107,6 +107,7 @@ def shortcut(
     Returns:
         The new number of the path's states.
     """
+    space = placed(space)
     for i in range(picks.shape[0]):
         length = path_length(states, count)
         low, high = min(picks[i, 0], picks[i, 1]), max(picks[i, 0], picks[i, 1])

@@ -6,7 +6,7 @@ from typing import Annotated, Any, NamedTuple, Self
 import numpy as np
 
 from cvqmpt_lab.base.errors import InvalidInputError, UnknownChoiceError
-from cvqmpt_lab.base.jit import check_arrays, entry
+from cvqmpt_lab.base.jit import check_arrays, entry, placed
 from cvqmpt_lab.base.modules import provider
 from cvqmpt_lab.constraints.constraint import Constraint
 from cvqmpt_lab.constraints.problem_parts import ProblemParts, StateChecker, WorldParts
@@ -40,7 +40,7 @@ DEFAULT_TOLERANCES = Tolerances()
 @entry
 def project_one(space: motion.Space, q: Annotated[np.ndarray, "n"]):
     """Project q (n,) in place; True on success."""
-    return project_state(space, q)
+    return project_state(placed(space), q)
 
 
 @entry
@@ -179,7 +179,11 @@ class ConstrainedSpace:
             state=np.zeros(n),
             scratch=projection_scratch(robot.kinematics, regions),
             ends=np.zeros((2, n)),
+            proven=np.zeros(1, dtype=np.int64),
             motion=np.zeros(n),
+            balls=np.zeros((len(world.robot_arrays.body_link), 4)),
+            projection=motion.project_at.kernel_address,
+            advance=motion.advance_at.kernel_address,
             bisection=bisect_motion.kernel_address,
             proof=motion.blocked_segment.kernel_address,
         )
@@ -298,18 +302,41 @@ class ConstrainedSpace:
                 f"float64; given: {q.shape} of {q.dtype}"
             )
 
-    def checked_path(self, states: np.ndarray) -> tuple[JointPath | None, int]:
+    def checked_path(
+        self, states: np.ndarray, proven: np.ndarray | None = None
+    ) -> tuple[JointPath | None, int]:
         """Refine a path (m, n) [rad or m] where straight motions leave the manifold, and check it.
 
+        Args:
+            states: the path.
+            proven: (m - 1,) bool, whether a motion to the next state passed this check before:
+                it is not checked again. Motions that pass are marked, also on a path that fails.
+
         Returns:
-            The path and -1, or None and the index of a segment that fails.
+            The path and -1, or None and the index of a motion that fails.
         """
+        proven = np.zeros(len(states) - 1, dtype=bool) if proven is None else proven
+        waiting = np.flatnonzero(~proven)
+        for run in np.split(waiting, np.flatnonzero(np.diff(waiting) > 1) + 1):
+            if not len(run):
+                continue
+            first = run[0]
+            path, bad, passed = self._refined(states[first : run[-1] + 2], check=True)
+            proven[first : first + passed] = True
+            if bad >= 0:
+                return None, int(first + bad)
+            if len(run) == len(proven):
+                return path, -1
+        return self._refined(states, check=False)[0], -1
+
+    def _refined(self, states: np.ndarray, check: bool) -> tuple[JointPath, int, int]:
+        """Call `motion.refine_and_check`; return the path and its other results."""
         states = np.ascontiguousarray(states)
         capacity = 8 * len(states) + 4 * int(JointPath(states).length / self.arrays.step) + 64
         out, segment = np.empty((capacity, states.shape[1])), np.empty(capacity, dtype=np.int64)
-        written, bad = motion.refine_and_check(self.arrays, states, out, segment)
+        written, bad, passed = motion.refine_and_check(self.arrays, states, out, segment, check)
         self.reraise()
-        return (JointPath(out[:written].copy()), -1) if bad < 0 else (None, int(bad))
+        return JointPath(out[:written].copy()), int(bad), int(passed)
 
 
 def direct_motion(

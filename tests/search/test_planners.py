@@ -4,6 +4,7 @@ import gc
 import time
 import weakref
 from dataclasses import astuple, replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -12,17 +13,18 @@ from refusals import refused
 
 from cvqmpt_lab.base.errors import CvqmptError, InvalidProblemError
 from cvqmpt_lab.base.poses import pose
+from cvqmpt_lab.benchmarks.passages import maze_problem
 from cvqmpt_lab.benchmarks.results.store import states_hash
 from cvqmpt_lab.certificate.certificate import certify
 from cvqmpt_lab.collision import arrays
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.collision.world import World
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
-from cvqmpt_lab.planning.pipeline import solve
+from cvqmpt_lab.planning.pipeline import solve, with_drawn_goals
 from cvqmpt_lab.planning.planners import PLANNERS, planner_named
 from cvqmpt_lab.scene.scene import Attachment, SceneObject
 from cvqmpt_lab.scene.shapes import Box, Cylinder
-from cvqmpt_lab.search.birrt import DRAW_MODES, BiRRT, enlarged_trees, grow, plant
+from cvqmpt_lab.search.birrt import DRAW_MODES, BiRRT, GrowingTrees, enlarged_trees, grow, plant
 from cvqmpt_lab.search.method import Method
 from cvqmpt_lab.search.ompl_planners import OMPL_STATE_SPACES, OmplSearch
 from cvqmpt_lab.search.planner_interface import GaussianMixture, Proposal, Query, Uniform
@@ -270,6 +272,62 @@ def test_checked_path_names_the_bad_segment(problem, solution):
 
 
 MARGIN = 1e-4  # [m] that planning keeps from obstacles
+
+
+@pytest.fixture(scope="module")
+def maze():
+    return with_drawn_goals(maze_problem(0.06, 3))
+
+
+def proofs(monkeypatch):
+    """Record the rows of all motions that are proven."""
+    proven, refined = [], ConstrainedSpace._refined
+
+    def recorded(space, states, check):
+        path, bad, passed = refined(space, states, check)
+        if check:
+            proven.extend(np.hstack(pair).tobytes() for pair in pairwise(states[: passed + 1]))
+        return path, bad, passed
+
+    monkeypatch.setattr(ConstrainedSpace, "_refined", recorded)
+    return proven
+
+
+@pytest.mark.parametrize("name", ["birrt", "cells", "roadmap"])
+def test_no_motion_is_proven_twice(maze, name, monkeypatch):
+    proven = proofs(monkeypatch)
+    plan(maze, name, ENOUGH)
+    # two nodes may hold the same state
+    assert len(set(proven)) > 0.99 * len(proven)
+
+
+def test_proven_motions_pass_the_check_again(maze):
+    """Also those of paths that failed, of which only a part is proven."""
+    space = ConstrainedSpace.of(maze)
+    query = Query.of(space, maze.start, maze.goals, ENOUGH, np.random.default_rng(1))
+    growth = GrowingTrees(BiRRT(), query, query.uniform)
+    growth.grow(query.deadline)
+    trees = growth.trees
+    tree, node = np.nonzero(trees.proven)
+    assert len(node) > 20
+    for which, child in zip(tree, node, strict=True):
+        pair = trees.nodes[which, [trees.parent[which, child], child]]
+        assert np.abs(pair).max() > 1e5 or space.checked_path(pair)[0] is not None
+
+
+def test_a_path_with_proven_motions_is_the_path_of_a_full_check(problem, solution):
+    space = ConstrainedSpace.of(problem)
+    states = solution.plan.path.states[::3]
+    whole, _ = space.checked_path(states)
+    proven = np.zeros(len(states) - 1, dtype=bool)
+    proven[1::2] = True
+    checks = space.counters.state_checks
+    parts, bad = space.checked_path(states, proven)
+    assert bad == -1 and proven.all() and space.counters.state_checks > checks
+    np.testing.assert_array_equal(whole.states, parts.states)
+    checks = space.counters.state_checks
+    np.testing.assert_array_equal(space.checked_path(states, proven)[0].states, whole.states)
+    assert space.counters.state_checks == checks
 
 
 def with_block(problem, q, distance):

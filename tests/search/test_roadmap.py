@@ -275,7 +275,7 @@ def test_after_the_roadmap_trees_draw_from_the_whole_space_without_a_limit(tunin
         return grow(trees, *limits, **more) if trees._method.reach == np.inf else None
 
     monkeypatch.setattr(GrowingTrees, "grow", recorded)
-    found = turns(tuning, first=1, between=1.0, turns=(200.0, 1.0), alone=1.0)
+    found = turns(tuning, first=1, between=1.0, turns=(100.0, 1.0), alone=1.0)
     assert found.sampler in ("uniform", "cells")
     assert (1.0, "uniform", GaussianMixture) in drawn
     assert drawn[-1] == (np.inf, "uniform", Uniform)
