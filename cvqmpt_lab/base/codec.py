@@ -8,7 +8,10 @@ editors.
 """
 
 import dataclasses
+import hashlib
 import inspect
+import marshal
+import operator
 import types
 import typing
 from collections.abc import Callable, Mapping
@@ -76,11 +79,18 @@ class Checked:
     """Base of frozen dataclasses (eq=False) that are checked when made and compared by content."""
 
     def __post_init__(self) -> None:
-        name = getattr(self, "name", None)
-        where = type(self).__name__ + (f" {shown(name)}: " if isinstance(name, str) else "")
+        fields = vars(self)
         for name, read in _field_readers(type(self), False).items():
-            object.__setattr__(self, name, read(getattr(self, name), at(where, name)))
+            try:
+                fields[name] = read(fields[name], "")
+            except InvalidInputError:  # paths take time: they are made for errors only
+                fields[name] = read(fields[name], at(self._shown_class(), name))
         self._check()
+
+    def _shown_class(self) -> str:
+        """Return the class, and the name if there is one, for messages."""
+        name = vars(self).get("name")
+        return type(self).__name__ + (f" {shown(name)}: " if isinstance(name, str) else "")
 
     def _check(self) -> None:
         """Refuse fields that contradict each other; each of them has been checked before."""
@@ -299,7 +309,10 @@ def _tuple(parts: tuple[Any, ...], complete: bool) -> Reader:
         if not any_length and len(value) != len(each):
             raise InvalidInputError(f"{where} is {shown(value)}; it must be a list of {len(each)}")
         readers = each * len(value) if any_length else each
-        return tuple(readers[k](item, f"{where}[{k}]") for k, item in enumerate(value))
+        try:
+            return tuple([one(item, "") for one, item in zip(readers, value, strict=True)])
+        except InvalidInputError:  # paths take time: they are made for errors only
+            return tuple(readers[k](item, f"{where}[{k}]") for k, item in enumerate(value))
 
     return read
 
@@ -307,6 +320,44 @@ def _tuple(parts: tuple[Any, ...], complete: bool) -> Reader:
 # Comparing.
 def _fields(value: Any) -> dict[str, Any]:
     return {name: getattr(value, name) for name in field_kinds(type(value))}
+
+
+def digest_of(value: Checked) -> bytes:
+    """Return the SHA-256 digest of the content of a value; its fields hold no mappings.
+
+    The parts are numbers, texts, arrays, tuples and values whose parts are these.
+    """
+    made = hashlib.sha256()
+    for part in _field_values(type(value))(value):
+        items = part if type(part) is tuple else (part,)
+        made.update(b"%d" % len(items))
+        for item in items:  # one by one: a million objects at once would wake the garbage collector
+            # version 2 of the format: without references, which depend on more than the content
+            made.update(marshal.dumps(_plain_content(item), 2))
+    return made.digest()
+
+
+_PLAIN = frozenset((str, int, float, bool, type(None)))
+
+
+def _plain_content(value: Any) -> Any:
+    """Return the content of a value as tuples, numbers, texts and bytes."""
+    kind = type(value)
+    if kind in _PLAIN:
+        return value
+    if kind is np.ndarray:
+        return content_of(value)
+    if kind is tuple:
+        return tuple([item if type(item) in _PLAIN else _plain_content(item) for item in value])
+    return kind.__name__, _plain_content(_field_values(kind)(value))
+
+
+@cached
+def _field_values(kind: Any) -> Callable[[Any], tuple]:
+    """Return the function that returns the fields of a dataclass as a tuple."""
+    names = tuple(field_kinds(kind))
+    get = operator.attrgetter(*names)
+    return get if len(names) > 1 else lambda value: (get(value),)
 
 
 def content_of(value: Any) -> Any:

