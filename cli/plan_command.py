@@ -16,6 +16,7 @@ from cvqmpt_lab.cli.options import (
     option,
     picture_file,
     positive,
+    positive_int,
     rate,
 )
 from cvqmpt_lab.cli.problem_options import (
@@ -65,6 +66,12 @@ OPTIONS: Options = {
     ),
     "--project-start": option("move the start onto the constraint first (Algorithm 1)", **FLAG),
     **SEED,
+    "--cores": option(
+        "search with N seeds at once, in threads: the first certified path wins, and its seed "
+        "alone repeats it (1)",
+        type=positive_int,
+        metavar="N",
+    ),
     "--exact-clearance": option(
         "measure the smallest distances and the tolerated deviation, instead of proving lower "
         "bounds; always done for a task",

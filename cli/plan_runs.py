@@ -127,6 +127,7 @@ def _solved_problem(args: argparse.Namespace, problem: PlanningProblem) -> tuple
         args.backend,
         args.exact_clearance,
         near_goals_first=args.suite is None,
+        cores=args.cores or 1,
     )
     planned = plan(problem, request)
     return planned, planned.report(planner, why, partial(_record, planned.solution, problem))
@@ -161,7 +162,7 @@ def _solved_task(args: argparse.Namespace, task: Task) -> tuple["TaskSolution", 
     from cvqmpt_lab.features.motion.timing import TimingSettings
     from cvqmpt_lab.features.tasks.solve import solve_task, task_report
 
-    of_problems = ("cloud", "optimize", "project_start")
+    of_problems = ("cloud", "optimize", "project_start", "cores")
     refuse_given(args, of_problems, "does not go with a task; leave it out")
     if any(path.suffix == STATES_SUFFIX for path in args.save):
         raise InvalidInputError(

@@ -303,7 +303,8 @@ class Entry(Kernel):
     all: ClassVar[list["Entry"]] = []
 
     def __init__(self, function: Callable, options: dict[str, Any]) -> None:
-        super().__init__(function, options)
+        # other threads run while it computes
+        super().__init__(function, options | {"nogil": True})
         Entry.all.append(self)
 
     @functools.cached_property

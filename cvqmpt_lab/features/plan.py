@@ -46,6 +46,7 @@ class Request:
     exact_clearance: bool = False  # whether the certificate measures the smallest distances
     near_goals_first: bool = False  # see `solve`
     use_cache: bool = True  # False: the planner's time contains what is cached of the cloud
+    cores: int = 1  # number of searches in threads, with different seeds, see `solve`
 
     def __post_init__(self) -> None:
         if self.planner is not None and not isinstance(self.planner, str):
@@ -163,4 +164,5 @@ def _run(request: Request, problem: PlanningProblem, goals: Goals | None, share:
         use_cache=request.use_cache,
         near_goals_first=request.near_goals_first,
         goals=goals,
+        cores=request.cores,
     )

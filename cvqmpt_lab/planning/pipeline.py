@@ -3,19 +3,20 @@
 import logging
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.base.errors import require_kind, whole_number
+from cvqmpt_lab.base.errors import InvalidInputError, require_kind, whole_number
 from cvqmpt_lab.base.jit import compile_before_clocks
 from cvqmpt_lab.base.processes import one_thread
 from cvqmpt_lab.certificate.certificate import Certificate, certify
 from cvqmpt_lab.collision.world import World
 from cvqmpt_lab.constraints.goals import Goals, goals_of
 from cvqmpt_lab.planning.planners import planner_named, require_fit
+from cvqmpt_lab.planning.race import MOST_CORES, first_of, require_race
 from cvqmpt_lab.planning.solution import Solution
 from cvqmpt_lab.planning.usable import check_problem, usable_goals, why_no_goal
 from cvqmpt_lab.problem import PlanningProblem
@@ -55,6 +56,7 @@ def solve(
     use_cache: bool = True,
     near_goals_first: bool = False,
     goals: Goals | None = None,
+    cores: int = 1,
 ) -> Solution:
     """Draw goals, observe, predict, update, search, shorten and certify a path.
 
@@ -77,6 +79,8 @@ def solve(
             whole turns apart; the nearest goals are then searched first. Drawn goals near the start
             are always searched first.
         goals: result of `goals_of` for the problem; None: it is called here.
+        cores: above 1: as many searches run in threads, with the seeds seed, seed + 1, ...; the
+            first certified path is returned, with its seed, see `race`.
 
     Raises:
         InvalidProblemError: the start, or every goal, collides or violates the constraint.
@@ -85,7 +89,9 @@ def solve(
     """
     require_kind("problem", problem, PlanningProblem, PROBLEM_HINT)
     _check_budgets(budget, optimize)
-    seed = whole_number("seed", seed)
+    seed, cores = whole_number("seed", seed), whole_number("cores", cores)
+    if not 1 <= cores <= MOST_CORES:
+        raise InvalidInputError(f"cores {cores}: give a number from 1 to {MOST_CORES}")
     method = planner_named(method) if isinstance(method, str) else method
     require_kind("method", method, Method, "or the name of a planner")
     compile_before_clocks()
@@ -101,7 +107,7 @@ def solve(
     usable, left_out = usable_goals(problem, goals.configurations, world)
     goals = replace(goals, configurations=usable)
     require_fit(method, problem)
-    certified = partial(certify, problem, checker=world.checker(), exact_clearance=exact_clearance)
+    certified = partial(_certified, problem, world, exact_clearance)
     if np.abs(usable - problem.start).max(axis=1).min() <= SAME_STATE_RAD:
         return _start_is_goal(problem, usable, left_out, goal_seconds, certified)
     # an external planner reads its goals from the problem
@@ -111,18 +117,27 @@ def solve(
     observe_seconds = time.perf_counter() - began
     _log.info("%d goals in %.1f ms", len(usable), 1e3 * goals.seconds)
     _log.info("cloud of %s points", "no" if cloud is None else len(cloud))
-    ends = np.vstack([problem.start, usable])
-    space = ConstrainedSpace.of(problem, backend, world, ends=ends)
-    query = Query.of(space, problem.start, usable, budget, problem.random_stream(seed), seed)
     near = goals.near(problem.start)
     if near_goals_first and problem.robot.turning.any():
         near = max(near, NEAR_GOAL_COUNT)
     observed = Observation(cloud, use_cache)
-    attempts: list[_Attempt] = []
-    for attempt in _attempts(query, stages, observed, near, certified):
-        attempts.append(attempt)
-        if query.deadline.spent() is not None or attempt.certified:
-            break
+    ends = np.vstack([problem.start, usable])
+    searches = []
+    for number in range(cores):
+        space = ConstrainedSpace.of(problem, backend, world, ends=ends)
+        stream = problem.random_stream(seed + number)
+        query = Query.of(space, problem.start, usable, budget, stream, seed + number)
+        searches.append(_SearchRun(query, stages, observed, near, certified))
+    if cores == 1:
+        run = searches[0].ended()
+    else:
+        require_race(method.name, stages)
+        run = first_of(
+            [one.ended for one in searches],
+            lambda one: one.attempts[-1].certified,
+            lambda: [one.query.space.stop() for one in searches],
+        )
+    attempts, space, seed = run.attempts, run.query.space, run.query.seed
     wall = time.perf_counter() - called - goal_seconds - observe_seconds
     wall -= sum(attempt.certifying for attempt in attempts)
     plan, best = _outcome(attempts, space)
@@ -137,6 +152,8 @@ def solve(
         distribution=_sampled(stages, attempts[-1].proposal),
         left_out=left_out,
         goals=usable,
+        seed=seed,
+        seeds=cores,
     )
     # `as_is`: the path of an external planner is not changed
     if optimize is None or found.path is None or plan.as_is:
@@ -246,6 +263,34 @@ class _Attempt(NamedTuple):
     @property
     def certified(self) -> bool:
         return self.certificate is not None and self.certificate.valid
+
+
+@dataclass
+class _SearchRun:
+    """Attempts with one stream of random numbers until a path is certified; see `_attempts`."""
+
+    query: Query
+    stages: Stages
+    observed: Observation
+    near: int
+    certified: Certify
+    attempts: list[_Attempt] = field(default_factory=list)
+
+    def ended(self) -> "_SearchRun":
+        """Make attempts until a path is certified or the budget is spent; return this run."""
+        found = _attempts(self.query, self.stages, self.observed, self.near, self.certified)
+        for attempt in found:
+            self.attempts.append(attempt)
+            if self.query.deadline.spent() is not None or attempt.certified:
+                break
+        return self
+
+
+def _certified(
+    problem: PlanningProblem, world: World, exact_clearance: bool, path: JointPath
+) -> Certificate:
+    """Return the certificate of a path, by the exact checker of this thread."""
+    return certify(problem, path, checker=world.checker(), exact_clearance=exact_clearance)
 
 
 def _attempts(

@@ -37,6 +37,8 @@ class Solution:
     left_out: tuple[str, ...] = ()  # goals of the problem that cannot be used, with the reasons
     # goals of the search (k, n): the given ones that can be used, or drawn ones [rad or m]
     goals: np.ndarray = field(default_factory=lambda: np.empty((0, 0)))
+    seed: int | None = None  # of the run that found the path; None: no search was needed
+    seeds: int = 1  # number of runs in threads, with one seed after another
 
     def __repr__(self) -> str:
         outcome = self.verdict or "not solved"
@@ -105,6 +107,8 @@ class Solution:
             ("status", _status(self)),
             ("time", times),
         ]
+        if self.seeds > 1:
+            lines.append(("seed", f"{self.seed} of {self.seeds}: --seed {self.seed} repeats it"))
         if not plan.as_is:
             lines.append(
                 (
@@ -246,6 +250,7 @@ def _data(
         "planner": planner,
         "chosen_because": why,
         "sampler": plan.sampler,
+        "seed": solution.seed,
         "status": solution.status,
         "fallback": plan.fallback,
         "detail": plan.detail,

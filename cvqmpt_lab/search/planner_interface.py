@@ -167,8 +167,8 @@ class Deadline:
 
     @property
     def late(self) -> bool:
-        """Whether no seconds or no cost are left."""
-        if time.perf_counter() >= self.clock:
+        """Whether no seconds or no cost are left, or the search was asked to end."""
+        if self._space.stopped or time.perf_counter() >= self.clock:
             return True
         cost = self.budget.cost
         return cost is not None and self.counters.cost(self.budget.prices) >= cost

@@ -154,6 +154,7 @@ class ConstrainedSpace:
             "tolerances": tolerances,
         }
         self.world, self.robot, self.constraint = world, world.robot, constraint
+        self.stopped = False  # whether searches in this space shall end, see `stop`
         robot, n = world.robot, world.robot.dof
         step, margin, inset = tolerances
         exact = world.checker(margin) if backend == "exact" else None
@@ -218,6 +219,10 @@ class ConstrainedSpace:
     def again(self) -> "ConstrainedSpace":
         """Return a copy of this space with separate counters."""
         return ConstrainedSpace(self.world, self.constraint, **self._made_of)
+
+    def stop(self) -> None:
+        """Ask a search in this space, which runs in another thread, to end soon."""
+        self.stopped = True
 
     def unconstrained(self) -> "ConstrainedSpace":
         """Return a copy of this space without its constraint; its work is counted in this one."""
