@@ -316,7 +316,7 @@ def _built(source: Mapping[str, Any], free: Sequence[str] = ()) -> Robot:
     body_frames = [frame for frame in model.frames if frame.type == pin.FrameType.BODY]
     standing = {frame.name for frame in body_frames if frame.parentJoint == 0}
     remarks = bodies.notes
-    end_effectors, tool_links = given.end_effectors, ()
+    end_effectors, tool_links = given.end_effectors, tuple[str, ...]()
     if given.tool is not None:
         name, line = add_tool(model, given.end_effector, given.tool)
         end_effectors, tool_links, remarks = (name,), given.end_effectors, (*remarks, line)

@@ -63,7 +63,7 @@ def drawn_pieces(robot: Robot) -> tuple[DrawnPiece, ...]:
         return tuple(piece for pieces in hulls.values() for piece in pieces)
     folders, urdf = [Path(folder) for folder in given.package_dirs], Path(given.urdf)
     visuals, failed = dict[str, list[_Visual]](), dict[str, str]()
-    root = read_urdf(urdf).root
+    root = read_urdf(urdf, given.package_dirs).root
     # a material of a link may be named alone, and have its colour at the top of the file
     materials = {element.get("name"): element for element in root.findall("material")}
     for element in root.findall("link"):
