@@ -101,8 +101,9 @@ ROBOT_DETAILS: Options = {  # of `cvqmpt robot`, which writes them into a robot 
         metavar="X,Y,Z[,ROLL,PITCH,YAW]",
     ),
     "--tool": option(
-        "pose of a tool in the end-effector frame; constraint and goals then refer to the tool "
-        "instead of the end effector: position [m], roll, pitch and yaw [rad]",
+        "pose of a tool in the end-effector frame E: position [m], roll, pitch and yaw [rad]; the "
+        "hand, to which constraint, goals and loads refer, is then the frame E/tool, and the name "
+        "E means the link",
         type=partial(_placement, "--tool"),
         metavar="X,Y,Z[,ROLL,PITCH,YAW]",
     ),

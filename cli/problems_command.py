@@ -230,7 +230,7 @@ def fk(args: argparse.Namespace) -> None:
     robot = chosen_robot(args, file)
     q = configuration(robot, "Q", given[0] if given else "start", file)
     if args.json:
-        poses = {hand: robot.pose(q, hand).tolist() for hand in robot.end_effectors}
+        poses = {name: robot.pose(q, name).tolist() for name in robot.hands}
         print(json_text({"joints": list(robot.joint_names), "q": q.tolist(), "poses": poses}))
     else:
         print("\n".join(hand_lines(robot, q)))
@@ -240,10 +240,13 @@ def fk(args: argparse.Namespace) -> None:
 
 
 def hand_lines(robot: Robot, q: np.ndarray) -> list[str]:
-    """Return a line on the pose of each hand at a configuration (n,), and its axis that is up."""
+    """Return a line on the pose of each hand at a configuration (n,), and its axis that is up.
+
+    A tool has two lines: of its frame, and of the link that it is fixed to.
+    """
     lines = []
-    for hand in robot.end_effectors:
-        T = robot.pose(q, hand)
+    for name in robot.hands:
+        T, kind = robot.pose(q, name), "link" if name in robot.tool_links else "hand"
         angles = rpy_of(T[:3, :3])
         at, rpy = (
             " ".join(f"{x:.4f}" for x in values.round(4) + 0.0) for values in (T[:3, 3], angles)
@@ -252,7 +255,7 @@ def hand_lines(robot: Robot, q: np.ndarray) -> list[str]:
         up = abs(T[2, "xyz".index(axis[-1])])
         leans = np.degrees(np.arccos(min(up, 1.0)))
         lines.append(
-            f"hand        {hand}: {at} m, roll pitch yaw {rpy} rad; its axis {axis} points up "
+            f"{kind}        {name}: {at} m, roll pitch yaw {rpy} rad; its axis {axis} points up "
             f"most, {leans:.1f} deg from the vertical"
         )
     return lines

@@ -176,6 +176,13 @@ def test_the_short_examples_run_in_an_empty_folder(example, tmp_path, monkeypatc
     assert list(OUTPUTS["differences"](shown, printed)) == [], "python docs/gallery.py"
 
 
+def test_the_figure_of_frames_is_drawn_by_its_program():
+    stored = Image.open(ROOT / "docs" / "gallery" / "frames.png").convert("RGB")
+    made = runpy.run_path(str(ROOT / "docs" / "frames.py"))["figure"]()
+    apart = np.abs(np.subtract(made, stored, dtype=float))
+    assert apart.mean() < 2.0 and (apart > 60.0).mean() < 0.01, "python docs/frames.py"
+
+
 def test_legends_of_the_gallery_have_the_colours_of_the_picture():
     picture = Image.open(ROOT / "docs" / "gallery" / "plan_with_constraint.png").convert("RGB")
     legend = picture.crop((0, 480, 500, 500))

@@ -39,14 +39,18 @@ from cvqmpt_lab.robot.joint_limits_file import (
     read_joint_limits,
 )
 from cvqmpt_lab.robot.kinematics import link_poses
-from cvqmpt_lab.robot.mechanism import ArticulatedObject, with_articulated_object
+from cvqmpt_lab.robot.mechanism import (
+    ArticulatedObject,
+    add_tool,
+    placed_frames,
+    with_articulated_object,
+)
 from cvqmpt_lab.robot.robot import (
     LIMIT_UNITS,
     Follower,
     HeldJoint,
     Robot,
     axis_frames,
-    in_link,
     kinematics_arrays,
     positive_per_joint,
 )
@@ -140,7 +144,8 @@ def load_robot(
         hard_limits: whether joints move beyond the soft limits of their <safety_controller>.
         visual_as_collision: whether links without a collision body get their visual bodies.
         velocity_limits: (n,), or one for all joints [rad/s or m/s]; None: those of the URDF.
-        tool: (4, 4) pose of a tool in the end effector's frame, whose place it takes [m].
+        tool: (4, 4) pose of a tool in the frame `end_effector` [m]; the hand is then the frame
+            END_EFFECTOR/tool, to which constraint, goals and loads refer.
     """
     source: dict[str, Any] = {"urdf": str(Path(urdf).resolve())}
     if isinstance(end_effector, str):
@@ -225,7 +230,7 @@ def gripper_joints(robot: Robot) -> list[Joint]:
     """Return the joints of the URDF behind the last joint that moves the end effector."""
     given = read_source(robot.source)
     urdf = read_urdf(Path(given.urdf), given.package_dirs)
-    above = [joint.name for joint in urdf.chain(robot.end_effector)]
+    above = [joint.name for joint in urdf.chain(given.end_effector)]
     last = [name for name in above if name in robot.moving_joints][-1]
     return [
         joint
@@ -308,25 +313,20 @@ def _built(source: Mapping[str, Any], free: Sequence[str] = ()) -> Robot:
         # limits of the source have no entries for `free` joints
         if values is not None and not free
     }
-    hands = {
-        name: model.frames[model.getFrameId(name, pin.FrameType.BODY)]
-        for name in given.end_effectors
-    }
     body_frames = [frame for frame in model.frames if frame.type == pin.FrameType.BODY]
     standing = {frame.name for frame in body_frames if frame.parentJoint == 0}
     remarks = bodies.notes
+    end_effectors, tool_links = given.end_effectors, tuple[str, ...]()
     if given.tool is not None:
-        hands[given.end_effector].placement *= pin.SE3(given.tool)
-        at = " ".join(f"{x:g}" for x in given.tool[:3, 3])
-        remarks += (f"constraint and goals refer to a tool at {at} m of {given.end_effector}",)
+        name, line = add_tool(model, given.end_effector, given.tool)
+        end_effectors, tool_links, remarks = (name,), given.end_effectors, (*remarks, line)
     robot = Robot(
         name=model.name,
         source=dict(source),
         model=model,
         collision_model=geometry,
-        end_effectors={
-            name: in_link(axes, hand.parentJoint, hand.placement) for name, hand in hands.items()
-        },
+        end_effectors=placed_frames(model, axes, end_effectors),
+        tool_links=placed_frames(model, axes, tool_links),
         kinematics=kinematics,
         links=tuple(link_geometry(item, axes) for item in geometry.geometryObjects),
         self_collision_pairs=(),

@@ -1,10 +1,12 @@
-"""A robot and the door or drawer that it moves, as one kinematic tree of n + 1 joints.
+"""What is added to a robot: a tool, or the door or drawer that it moves.
 
+A robot and a door are one kinematic tree of n + 1 joints.
 Planners and kernels treat the door as part of the arm: its pieces are links, its handle is a frame.
 """
 
 from __future__ import annotations  # `help` then shows types by their names
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Annotated, Literal
@@ -18,7 +20,40 @@ from cvqmpt_lab.base.errors import InvalidInputError, require_choice, unique
 from cvqmpt_lab.base.poses import Pose
 from cvqmpt_lab.base.values import Array, FloatArray, Length, Name
 from cvqmpt_lab.robot.hulls import coal_hull, link_geometry
-from cvqmpt_lab.robot.robot import LeftOut, Robot, axis_frames, kinematics_arrays
+from cvqmpt_lab.robot.robot import LeftOut, Robot, axis_frames, in_link, kinematics_arrays
+
+
+def add_tool(model: pin.Model, link: str, T_link_tool: np.ndarray) -> tuple[str, str]:
+    """Add the frame LINK/tool to a model; return its name, and a line on what refers to it.
+
+    The link keeps its pose. InvalidInputError: the model has a frame of this name.
+    """
+    name = f"{link}/tool"
+    if model.existFrame(name):
+        raise InvalidInputError(
+            f"robot {model.name} has a frame {name!r} already, the name of the tool at {link}: "
+            f"give {name} as end effector, without a tool, or rename it in the URDF"
+        )
+    number = model.getFrameId(link, pin.FrameType.BODY)
+    held = model.frames[number]
+    T_joint_tool = held.placement * pin.SE3(T_link_tool)
+    model.addFrame(pin.Frame(name, held.parentJoint, number, T_joint_tool, pin.FrameType.BODY))
+    place = " ".join(f"{x:g}" for x in T_link_tool[:3, 3])
+    return name, (
+        f"the hand is {name}, a tool at {place} m of {link}: constraint, goals and loads refer to "
+        f"it; the name {link} means the link"
+    )
+
+
+def placed_frames(
+    model: pin.Model, axes: list[np.ndarray], names: Sequence[str]
+) -> dict[str, tuple[int, np.ndarray]]:
+    """Return the pose row and T_link_frame (4, 4) of body frames, by name.
+
+    axes: result of `axis_frames`.
+    """
+    frames = {name: model.frames[model.getFrameId(name, pin.FrameType.BODY)] for name in names}
+    return {name: in_link(axes, f.parentJoint, f.placement) for name, f in frames.items()}
 
 
 @dataclass(frozen=True, eq=False)

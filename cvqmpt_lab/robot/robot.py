@@ -209,7 +209,7 @@ class Robot:
     model: pin.Model  # of all joints, followers included; see `Kinematics.joint_values`
     collision_model: pin.GeometryModel  # meshes replaced by their convex hulls
     # frames of constraints and goals, by name: pose row of the link, T_link_frame (4, 4). A region
-    # without a frame refers to the first one.
+    # without a frame refers to the first one. A tool is a frame of its own, LINK/tool.
     end_effectors: Mapping[str, tuple[int, np.ndarray]]
     kinematics: Kinematics  # arrays for the kernels
     links: tuple[LinkGeometry, ...]  # convex pieces
@@ -228,19 +228,20 @@ class Robot:
     files: tuple[tuple[str, str], ...] = ()  # path and sha256 of each source file
     # planned joints that the URDF calls continuous: configurations a whole turn apart are equal
     continuous: tuple[str, ...] = ()
+    # the link that has the tool, as `end_effectors`: it can be named as a hand, too
+    tool_links: Mapping[str, tuple[int, np.ndarray]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for name in self.frame_limits:
             require_choice(f"frame of robot {self.name} in frame_limits", name, self.frame_names)
         # problems share robots
-        frozen((self.kinematics, *self.end_effectors.values(), *self.limits.values()))
+        frozen((self.kinematics, *self.hands.values(), *self.limits.values()))
 
     def __repr__(self) -> str:
+        hands, joints = " and ".join(self.end_effectors), ", ".join(self.joint_names)
         return (
-            f"Robot {self.name!r}: {self.dof} joints, end effector "
-            f"{' and '.join(self.end_effectors)}, "
-            f"reach {self.reach:.2f} m, {len(self.links)} convex pieces\n"
-            f"joints      {', '.join(self.joint_names)}"
+            f"Robot {self.name!r}: {self.dof} joints, end effector {hands}, reach "
+            f"{self.reach:.2f} m, {len(self.links)} convex pieces\njoints      {joints}"
         )
 
     @property
@@ -248,15 +249,20 @@ class Robot:
         """Name of the first end effector's frame."""
         return next(iter(self.end_effectors))
 
+    @cached_property
+    def hands(self) -> dict[str, tuple[int, np.ndarray]]:
+        """All of `end_effectors` and `tool_links`."""
+        return {**self.end_effectors, **self.tool_links}
+
     def hand(self, end_effector: str | None = None) -> tuple[int, np.ndarray]:
-        """Return the pose row of an end effector and T_link_frame (4, 4); None: the first."""
+        """Return the pose row of one of `hands` and T_link_frame (4, 4); None: the first."""
         name = end_effector or self.end_effector
-        require_choice(f"end effector of robot {self.name}", name, self.end_effectors)
-        return self.end_effectors[name]
+        require_choice(f"end effector of robot {self.name}", name, self.hands)
+        return self.hands[name]
 
     def frame(self, name: str | None = None) -> tuple[int, np.ndarray]:
         """Return what `hand` and `link_of` return, of an end effector or any other body frame."""
-        if name is None or name in self.end_effectors or name not in self.frame_names:
+        if name is None or name in self.hands or name not in self.frame_names:
             return self.hand(name)
         return self.link_of(name)
 
@@ -363,12 +369,8 @@ class Robot:
                 "load_robot(..., acceleration_limits=...), on the command line --acceleration, "
                 "in a problem file 'acceleration_limits' of 'robot'"
             )
-        unknown = [
-            name
-            for name, most in zip(self.joint_names, self.velocity_limits, strict=True)
-            if not most > 0.0
-        ]
-        if unknown:
+        unknown = np.array(self.joint_names)[~(self.velocity_limits > 0.0)]
+        if len(unknown):
             raise InvalidInputError(
                 f"robot {self.name} has velocity limits of 0 for {', '.join(unknown)}: give each "
                 '<limit> of the URDF its motor\'s velocity="..." [rad/s or m/s], or give '
@@ -405,7 +407,7 @@ class Robot:
     def reach(self) -> float:
         """Radius [m] of a ball around the base that contains all moving links and end effectors."""
         distance = self.farthest
-        ends = [distance[row] + np.linalg.norm(T[:3, 3]) for row, T in self.end_effectors.values()]
+        ends = [distance[row] + np.linalg.norm(T[:3, 3]) for row, T in self.hands.values()]
         ends += [
             distance[piece.link] + np.linalg.norm(piece.vertices_in_link, axis=1).max()
             for piece in self.links
@@ -418,10 +420,10 @@ class Robot:
 
         For a revolute joint it is the largest distance from its origin to a point that it moves.
 
-        carried: radius [m] of a ball around each end effector that contains its load.
+        carried: radius [m] of a ball around each of `hands` that contains its load.
         """
         far = np.zeros(len(self.kinematics.parent) + 1)
-        for link, T in self.end_effectors.values():
+        for link, T in self.hands.values():
             far[link] = max(far[link], np.linalg.norm(T[:3, 3]) + carried)
         for piece in self.links:
             corners = np.linalg.norm(piece.vertices_in_link, axis=1).max()

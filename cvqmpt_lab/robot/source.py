@@ -73,7 +73,7 @@ class RobotSource:
     bodies: Literal["visual", "hulls"] = "visual"
     # (4, 4) pose of the URDF's base link in the world; None: the identity
     base: Pose | None = None
-    # (4, 4) pose of the tool in the frame `end_effector`, whose place it takes; None: the identity
+    # (4, 4) pose of a tool in the frame `end_effector`; the hand is then END_EFFECTOR/tool
     tool: Pose | None = None
     name: str = (
         ""  # an arm of `cvqmpt robot`, instead of a URDF; other fields replace the named arm's

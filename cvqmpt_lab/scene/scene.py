@@ -231,9 +231,11 @@ class Attachment(Checked):
 
     name: Name  # unique among the attachments
     shape: Shape  # the geometry, in the object frame
-    T_hand_object: Pose  # (4, 4) pose of the shape in the end-effector frame [m]
+    # (4, 4) pose of the shape in the frame of the end effector (of its tool, if it has one) [m]
+    T_hand_object: Pose
     mass: Mass | None = None  # [kg], for timing and execution; None: unknown, taken as 0
-    end_effector: Name | None = None  # end effector that carries it; None: the robot's first
+    # end effector that carries it, or the link that has the tool; None: the robot's first
+    end_effector: Name | None = None
     # other end effectors that hold it, too: pieces fixed to them may touch it
     also_held_by: tuple[Name, ...] = ()
 

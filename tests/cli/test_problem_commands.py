@@ -105,6 +105,17 @@ def test_a_file_with_comments_is_read_and_the_command_line_says_where_the_hand_i
     refused("is not json", PlanningProblem.load, mine)
 
 
+def test_fk_says_where_a_tool_is_and_where_its_link(tmp_path, panda, problem, cvqmpt):
+    start, arm = ",".join(map(str, problem.start)), tmp_path / "arm.json"
+    assert "the name panda_hand means the link" in cvqmpt("robot panda --tool 0,0,0.1 --out", arm)
+    tool, link = cvqmpt("fk", start, "--robot", arm).splitlines()
+    assert tool.startswith("hand        panda_hand/tool: ")
+    assert link.replace("link", "hand", 1) == cvqmpt("fk", start).strip()
+    poses = json.loads(cvqmpt("fk --json", start, "--robot", arm))["poses"]
+    assert list(poses) == ["panda_hand/tool", "panda_hand"]
+    np.testing.assert_allclose(poses["panda_hand"], panda.pose(problem.start), atol=1e-12)
+
+
 def test_postures_of_a_pose_differ_by_more_than_whole_turns(tmp_path, mine, cvqmpt):
     other = tmp_path / "ur5.json"
     other.write_text(json.dumps({**json.loads(mine.read_text()), "robot": {"name": "ur5"}}))

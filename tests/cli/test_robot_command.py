@@ -64,7 +64,7 @@ def test_a_robot_file_has_every_option_and_paths_relative_to_it(cvqmpt, tmp_path
     data = json.loads(file.read_text())
     assert data["urdf"] == "arms/arm.urdf" and data["srdf"] == "a.srdf"
     assert data["package_dirs"] == ["/tmp"] and data["locked"] == {"rail": 0.2}
-    assert data["frame_limits"] == {"tool": {"speed": 0.5, "turning_speed": 1.0}}
+    assert data["frame_limits"] == {"tool/tool": {"speed": 0.5, "turning_speed": 1.0}}
     once = json.loads(cvqmpt(f"robot {file} --json"))
     assert once == json.loads(cvqmpt(words, "--json"))
 

@@ -16,8 +16,11 @@ from refusals import refused, table
 
 from cvqmpt_lab.base.codec import from_plain
 from cvqmpt_lab.base.errors import CvqmptError
-from cvqmpt_lab.base.poses import Pose
-from cvqmpt_lab.robot.load import MAX_REACH_M, load_robot, robot_from_source
+from cvqmpt_lab.base.poses import Pose, rigid
+from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
+from cvqmpt_lab.features.motion.frame_speeds import FrameSpeeds
+from cvqmpt_lab.robot.kinematics import link_poses
+from cvqmpt_lab.robot.load import MAX_REACH_M, load_robot, robot_from_source, with_gripper
 from cvqmpt_lab.robot.source import ARMS
 from cvqmpt_lab.scene.scene import pose
 
@@ -43,13 +46,42 @@ def binary_stl(*triangles):
     return b"\0" * 80 + struct.pack("<I", len(triangles)) + b"".join(rows)
 
 
-def test_a_tool_takes_the_place_of_the_frame_behind_which_it_is(panda):
+def test_a_tool_is_a_frame_of_its_own_and_the_link_stays(panda, edited):
+    """The hand is the tool; the name of the link means the link, in regions and speed limits."""
     tool = {"xyz": [0.0, 0.02, 0.1], "rpy": [0.0, 0.0, 0.5]}
     robot = robot_from_source({"name": "panda", "tool": tool})
-    T = panda.pose(HOME) @ from_plain(Pose, tool, "tool")
-    np.testing.assert_allclose(robot.pose(HOME), T, atol=1e-12)
-    np.testing.assert_allclose(robot.pose(HOME, "panda_hand"), T, atol=1e-12)
-    assert "a tool at 0 0.02 0.1 m of panda_hand" in robot.notes[-1]
+    link = panda.pose(HOME)
+    T = link @ from_plain(Pose, tool, "tool")
+    assert list(robot.end_effectors) == [robot.end_effector] == ["panda_hand/tool"]
+    for name, there in ((None, T), ("panda_hand/tool", T), ("panda_hand", link)):
+        np.testing.assert_allclose(robot.pose(HOME, name), there, atol=1e-12)
+        region = TaskSpaceRegion(there, np.eye(4), np.zeros((6, 2)), end_effector=name)
+        (_, (row, T_row_e)) = region.links(robot)
+        rotations, translations = link_poses(robot.kinematics, HOME[None])
+        found = rigid(rotations[0, row], translations[0, row]) @ T_row_e
+        np.testing.assert_allclose(found, there, atol=1e-12)
+        assert robot.frame(name) is robot.hand(name)
+    assert robot.notes[-1] == (
+        "the hand is panda_hand/tool, a tool at 0 0.02 0.1 m of panda_hand: constraint, goals and "
+        "loads refer to it; the name panda_hand means the link"
+    )
+    limits = {name: {"speed": 0.25} for name in ("panda_hand", "panda_hand/tool")}
+    limited = robot_from_source({"name": "panda", "tool": tool, "frame_limits": limits})
+    rates = np.eye(7)[6:]
+    about_hand, about_tool = FrameSpeeds(limited).speeds(HOME[None], rates)[0]
+    assert about_hand == pytest.approx(0.0, abs=1e-9) and about_tool == pytest.approx(0.02)
+    behind = robot_from_source({"name": "panda", "tool": {"xyz": [0.0, 0.0, -0.1]}})
+    assert (behind.levers(0.3) >= panda.levers(0.3)).all() and behind.reach >= panda.reach
+    assert with_gripper(robot).joint_names == with_gripper(panda).joint_names
+    taken = edited(
+        ('"tool"', '"hand"'),
+        (
+            END,
+            '<link name="hand/tool"/><joint name="more" '
+            'type="fixed"><parent link="hand"/><child link="hand/tool"/></joint></robot>',
+        ),
+    )
+    refused("a frame 'hand/tool' already.*rename", load_robot, taken, "hand", tool=np.eye(4))
     several = {"name": "baxter", "end_effectors": ["left_gripper", "right_gripper"], "tool": tool}
     refused("robot.tool belongs to one end effector", robot_from_source, several)
     flat = {"name": "panda", "tool": np.diag([1.0, 1.0, 0.0, 1.0]).tolist()}

@@ -235,9 +235,10 @@ def _request(message: Any, robot: Robot) -> MotionRequest:
             raise InvalidInputError(f"{key} are not judged; write the request without them")
     goals = listed(fields.get("goal_constraints"), "goal_constraints")
     speed = _number(fields.get("max_cartesian_speed", 0.0), "max_cartesian_speed")
-    # earlier versions have the second name
+    # earlier versions have the second name; without one it is the hand's link: MoveIt knows no tool
     frames = ("cartesian_speed_limited_link", "cartesian_speed_end_effector_link")
-    frame = next(filter(None, map(fields.get, frames)), robot.end_effector)
+    link = next(iter(robot.tool_links), robot.end_effector)
+    frame = next(filter(None, map(fields.get, frames)), link)
     start, fingers = _start(fields.get("start_state"), robot)
     return MotionRequest(
         start,

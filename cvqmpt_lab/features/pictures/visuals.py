@@ -14,7 +14,7 @@ from cvqmpt_lab.base.errors import InvalidInputError, few
 from cvqmpt_lab.base.poses import rigid, rotation_of_rpy
 from cvqmpt_lab.features.pictures.meshes import Colour, Mesh, hull_mesh, shape_mesh, unit
 from cvqmpt_lab.robot.hulls import triangles_of_file
-from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.robot.robot import LinkGeometry, Robot
 from cvqmpt_lab.robot.source import content_digest, mesh_path, read_source
 from cvqmpt_lab.robot.urdf import read_urdf
 from cvqmpt_lab.robot.urdf_bodies import collada_unit
@@ -53,17 +53,15 @@ def drawn_pieces(robot: Robot) -> tuple[DrawnPiece, ...]:
     A robot whose source has "bodies": "hulls" is drawn by its hulls.
     """
     given = read_source(robot.source)
-    hulls: dict[str, list[DrawnPiece]] = {}
+    hulls: dict[str, list[LinkGeometry]] = {}
     objects = robot.collision_model.geometryObjects
     for piece, item in zip(robot.links, objects, strict=True):
-        link, mesh = robot.model.frames[item.parentFrame].name, hull_mesh(piece.vertices)
-        drawn = DrawnPiece(piece.name, piece.link, piece.T_link_geometry, mesh)
-        hulls.setdefault(link, []).append(drawn)
+        hulls.setdefault(robot.model.frames[item.parentFrame].name, []).append(piece)
     if given.bodies == "hulls":
-        return tuple(piece for pieces in hulls.values() for piece in pieces)
+        return tuple(_drawn_hull(piece) for pieces in hulls.values() for piece in pieces)
     folders, urdf = [Path(folder) for folder in given.package_dirs], Path(given.urdf)
     visuals, failed = dict[str, list[_Visual]](), dict[str, str]()
-    root = read_urdf(urdf).root
+    root = read_urdf(urdf, given.package_dirs).root
     # a material of a link may be named alone, and have its colour at the top of the file
     materials = {element.get("name"): element for element in root.findall("material")}
     for element in root.findall("link"):
@@ -83,7 +81,7 @@ def drawn_pieces(robot: Robot) -> tuple[DrawnPiece, ...]:
         if unread:
             failed[name] = f"{unread[0]} cannot be read"
         if unread or not own:
-            found += hulls.get(name, [])
+            found += [_drawn_hull(piece) for piece in hulls.get(name, [])]
             continue
         for k, visual in enumerate(own):
             body = shape_mesh(visual.shape) if visual.shape else meshes[visual.file]
@@ -95,6 +93,10 @@ def drawn_pieces(robot: Robot) -> tuple[DrawnPiece, ...]:
         why = next(iter(failed.values()))
         warnings.warn(f"drawn by collision hulls: {few(list(failed))} ({why})", stacklevel=2)
     return tuple(found)
+
+
+def _drawn_hull(piece: LinkGeometry) -> DrawnPiece:
+    return DrawnPiece(piece.name, piece.link, piece.T_link_geometry, hull_mesh(piece.vertices))
 
 
 def _visual(

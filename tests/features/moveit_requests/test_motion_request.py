@@ -26,6 +26,10 @@ from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.search.result import Budget
 
 FREE = 3.1416
+AT_ORIGIN = {
+    "position": {"x": 0.4, "y": 0.0, "z": 0.5},
+    "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0},
+}
 ANYTHING = {"path_constraints": {}}
 
 
@@ -244,6 +248,22 @@ def test_the_frame_of_a_speed_limit_has_two_names(tmp_path, request_of, problem)
         assert list(read_request(tmp_path / "r.json", problem.robot).frame_limits) == [
             "panda_link4"
         ]
+
+
+def test_the_links_of_a_request_are_links_also_where_the_robot_has_a_tool(tmp_path, request_of):
+    """MoveIt knows of no tool: also the limited link that a request does not name is a link."""
+    robot = robot_from_source({"name": "panda", "tool": {"xyz": [0.0, 0.0, 0.2]}})
+    sphere = {"primitives": [{"type": 2, "dimensions": [0.01]}], "primitive_poses": [AT_ORIGIN]}
+    position = {"link_name": "panda_hand", "constraint_region": sphere}
+    request = request_of(
+        max_cartesian_speed=0.5, goal_constraints=[{"position_constraints": [position]}]
+    )
+    (tmp_path / "r.json").write_text(json.dumps(request))
+    made = read_request(tmp_path / "r.json", robot)
+    assert list(made.frame_limits) == ["panda_hand"]
+    (tilt,), (goal,) = made.path.regions, made.goals[0].regions
+    for region in (tilt, goal):
+        assert region.links(robot)[1][1] is robot.tool_links["panda_hand"][1]
 
 
 BESIDE = {

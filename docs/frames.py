@@ -1,0 +1,50 @@
+"""Write docs/gallery/frames.png: the frames of a link, of its tool and of a load.
+
+python docs/frames.py
+"""
+
+from pathlib import Path
+
+from PIL import Image, ImageDraw, ImageFont
+
+from cvqmpt_lab import Attachment, Box, PlanningProblem, Scene, pose, robot_from_source
+from cvqmpt_lab.features.pictures.picture import still_image
+from cvqmpt_lab.features.pictures.raster import Viewpoint
+
+# isort: split
+import numpy as np
+
+PICTURE = Path(__file__).parent / "gallery" / "frames.png"
+SIZE = 640, 380
+Q = np.array([0.0, -0.5, 0.0, -2.2, 0.0, 1.7, 0.785])
+VIEW = Viewpoint((0.95, -1.5, 0.65), (0.62, 0.05, 0.43), 0.29)
+LENGTH_M = 0.06  # of the axes
+COLOURS = (217, 38, 38), (38, 153, 38), (38, 77, 217)  # x, y, z
+
+
+def figure() -> Image.Image:
+    """Return the picture of a Panda with a tool 12 cm before its hand, and a load."""
+    robot = robot_from_source({"name": "panda", "tool": {"xyz": [0.0, 0.0, 0.12]}})
+    load = Attachment("load", Box((0.05, 0.05, 0.12)), pose((0.0, 0.0, 0.08)))
+    problem = PlanningProblem("frames", robot, Scene("none", ()), Q, Q[None], attachments=(load,))
+    image = Image.fromarray(still_image(problem, Q, SIZE, VIEW))
+    drawing = ImageDraw.Draw(image)
+    tool = robot.pose(Q)
+    frames = {
+        "panda_hand: the link of the URDF": robot.pose(Q, "panda_hand"),
+        "panda_hand/tool: the hand, at tool in the link": tool,
+        "the load, at T_hand_object in the hand": tool @ load.T_hand_object,
+    }
+    for text, T in frames.items():
+        points = np.vstack([T[:3, 3], T[:3, 3] + LENGTH_M * T[:3, :3].T])
+        origin, *ends = VIEW.screen(points, SIZE[::-1])[:, :2]
+        for end, colour in zip(ends, COLOURS, strict=True):
+            drawing.line([*origin, *end], colour, 4)
+        right, y = 340, origin[1]
+        drawing.line([origin[0] + 70, y, right - 8, y], (150, 150, 150))
+        drawing.text((right, y), text, "black", ImageFont.load_default(15), "lm")
+    return image
+
+
+if __name__ == "__main__":
+    figure().quantize(128, Image.Quantize.MAXCOVERAGE, kmeans=3).save(PICTURE, optimize=True)
