@@ -338,9 +338,8 @@ def _attempts(
             if plan.path is None:
                 yield _Attempt(plan, proposal)
                 break
-            # the path of an external planner is not shortened
             shorter = Simplified(plan.path, 0.0, Counters())
-            if not plan.as_is:
+            if not (plan.as_is or plan.direct):
                 shorter = simplify(space, plan.path, query.rng)
             began = time.perf_counter()
             certificate = certified(shorter.path)

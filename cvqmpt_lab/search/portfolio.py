@@ -1,5 +1,7 @@
 """The search of the roadmap planners: it alternates between trees, a roadmap and cells.
 
+    0. the direct motions to the nearest goals, which are not shortened: the easiest problems end
+       here;
     1. trees of Algorithm 3 grow for a few iterations: easy problems end here;
     2. the roadmap is searched (`lazy_roadmap`), with a small limit of work;
     3. the trees grow further, first towards the nodes that the roadmap search found free, then
@@ -44,8 +46,9 @@ from cvqmpt_lab.search.roadmap import (
     scene_costs,
     spread_roadmap,
 )
-from cvqmpt_lab.search.space import ConstrainedSpace
+from cvqmpt_lab.search.space import ConstrainedSpace, direct_motion
 
+DIRECT = "direct"  # name of the sampler where the direct motion to a goal is the path
 Turn: TypeAlias = tuple[str, JointPath | None]  # name of the search, and the path it found
 
 
@@ -63,6 +66,7 @@ class Portfolio(BiRRT):
     # whether blocked nodes and edges are known at no cost: an upper bound for all roadmaps
     oracle: bool = False
     settings: RoadmapSearchSettings = field(default_factory=RoadmapSearchSettings)
+    straight: int = 3  # number of goals to which the direct motion is tried first
     first: int = 2  # iterations of the trees before the roadmap is searched
     turns: tuple[float, float] = (1_500, 4_000)  # work of the roadmap's two turns
     between: float = 6_000  # work of the trees between them
@@ -91,6 +95,7 @@ class Portfolio(BiRRT):
             roots=1 + len(query.goals),
             detail=run.trees.warning,
             fallback="" if by == self.name else run.fallback,
+            direct=by == DIRECT,
         )
 
 
@@ -112,6 +117,7 @@ class _Run:
     def turns(self) -> Iterator[Turn]:
         """Yield one turn after another; the caller stops at a path or when the budget is spent."""
         method, began, trees = self._method, self._space.work, self._uniform.name
+        yield DIRECT, self._direct_motion()
         yield trees, self.trees.grow(self._query.deadline, iterations=method.first)
         if method.roadmap is None:
             self.fallback = "birrt: no roadmap is made of closed chains"
@@ -134,6 +140,16 @@ class _Run:
             self._others = others + int(cells.trees.size.sum())
             yield "cells", found
             yield trees, self.trees.grow(self._query.deadline, ratio * method.alone)
+
+    def _direct_motion(self) -> JointPath | None:
+        """Return the direct motion to one of the nearest goals, or None; each counts as a draw."""
+        for goal in self._query.nearest_goals(self._method.straight):
+            if self._query.deadline.spent() is None:
+                self._query.deadline.count()
+                path = direct_motion(self._space, self._query.start, goal)
+                if path is not None:
+                    return path
+        return None
 
     def _roadmap_turns(self, roadmap: Roadmap) -> Iterator[Turn]:
         """Yield the roadmap's two turns, and the trees' turn between them."""

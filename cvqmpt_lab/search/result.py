@@ -179,6 +179,7 @@ class PlanResult:
     fallback: str = ""
     timings: Timings = field(default_factory=Timings)  # parts of `seconds` before the search
     as_is: bool = False  # path of an external planner: it is certified without shortening
+    direct: bool = False  # the direct motion to a goal: it is not shortened
     goals_tried: int = 1  # number of searches for one goal each; 1 where all are searched at once
     roots: int = 0  # number of starts and goals of all trees
     # states of the path that the search stored (m, n); None: the path's states
