@@ -23,6 +23,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self, TypeAlias
 import numpy as np
 
 from cvqmpt_lab.base.errors import (
+    CvqmptError,
     InvalidInputError,
     UnknownChoiceError,
     at,
@@ -83,7 +84,7 @@ class Checked:
         for name, read in _field_readers(type(self), False).items():
             try:
                 fields[name] = read(fields[name], "")
-            except InvalidInputError:  # paths take time: they are made for errors only
+            except CvqmptError:  # paths take time: they are made for errors only
                 fields[name] = read(fields[name], at(self._shown_class(), name))
         self._check()
 
@@ -311,7 +312,7 @@ def _tuple(parts: tuple[Any, ...], complete: bool) -> Reader:
         readers = each * len(value) if any_length else each
         try:
             return tuple([one(item, "") for one, item in zip(readers, value, strict=True)])
-        except InvalidInputError:  # paths take time: they are made for errors only
+        except CvqmptError:  # paths take time: they are made for errors only
             return tuple(readers[k](item, f"{where}[{k}]") for k, item in enumerate(value))
 
     return read
