@@ -13,6 +13,7 @@ from small_arms import box, joint
 from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.benchmarks.results.row import RUNS_FILE, FailReason, read_rows
 from cvqmpt_lab.benchmarks.suite import suite_named
+from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.experiments import executed
 from cvqmpt_lab.experiments.experiment import Experiment
 from cvqmpt_lab.experiments.run import executor_for, failed_rows, outcome_of, run_experiment
@@ -21,12 +22,13 @@ from cvqmpt_lab.features.motion.trajectory import save_trajectory
 from cvqmpt_lab.features.physics import execute
 from cvqmpt_lab.features.physics.execute import Outcome, agreed, execute_motion, execute_task
 from cvqmpt_lab.features.physics.mjcf import ARMATURE, HAND_SITE, Physics, mjcf_of
-from cvqmpt_lab.features.physics.simulation import Controller
+from cvqmpt_lab.features.physics.simulation import Controller, Simulation
 from cvqmpt_lab.features.plan import Request, plan
 from cvqmpt_lab.features.tasks.task import Release
 from cvqmpt_lab.paper_tables.committed import RESULTS
 from cvqmpt_lab.robot.load import load_robot, robot_from_source, with_gripper
 from cvqmpt_lab.robot.robot import Follower
+from cvqmpt_lab.scene.cells import map_of_points
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, PointCloud
 from cvqmpt_lab.search.result import Budget, JointPath
@@ -134,16 +136,45 @@ def test_motions_that_cannot_be_executed_are_refused(carrying, panda, task):
     for k in range(1, 8):
         massless.model.inertias[k] = pin.Inertia.Zero()
     refused("cannot be executed: efforts not limited", Controller, "computed-torque", massless)
-    points = np.zeros((1, 3))
-    cloud = SceneObject("scan", PointCloud(points, 0.01), pose((2.0, 0.0, 0.0)))
-    sensed = replace(problem, scene=problem.scene.with_objects(cloud))
-    told = "obstacle 'scan' is of type PointCloud"
-    refused(told, execute_motion, sensed, motion, "position-servo")
     weightless = replace(problem, attachments=(replace(problem.attachments[0], mass=None),))
     how = {"controller": "computed-torque", "friction": True}
     refused("has no mass", execute_motion, weightless, motion, **how)
     other = replace(motion, joint_names=tuple("abcdefg"))
     refused("the motion is of joints a, b", execute_motion, problem, other, "computed-torque")
+
+
+SHELL = np.random.default_rng(4).uniform((0.2, -0.6, 0.0), (0.6, 0.6, 0.9), (1500, 3))
+MEASURED = {
+    "map": map_of_points(SHELL, 0.05),
+    "map with padding": map_of_points(SHELL[:200], 0.05, 0.03),
+    "small cloud": PointCloud(SHELL[:300], 0.03),
+    "large cloud": PointCloud(SHELL, 0.02),
+}
+
+
+@pytest.mark.parametrize("name", MEASURED)
+def test_scanned_obstacles_touch_the_simulated_arm_where_planning_finds_collisions(panda, name):
+    """They were refused, so that no scanned scene could be executed."""
+    scene = Scene("s", (SceneObject("scan", MEASURED[name], pose((0.1, 0.0, 0.1), 0.3)),))
+    control, checker = Controller("computed-torque", panda), CollisionChecker(panda, scene)
+    states = panda.random_configurations(np.random.default_rng(0), 40)
+    world = Simulation(panda, scene, states[0], control, Physics(0.004), False)
+    touching = 0
+    for q in states:
+        if "scan" not in str(pair := checker.colliding_pair(q)) and pair is not None:
+            continue  # links touch each other, which is not the question
+        world.data.qpos[world._q] = q
+        mujoco.mj_forward(world.model, world.data)
+        found = world.data.contact
+        depths = found.includemargin - found.dist
+        geoms = {*world.obstacles["scan"]}
+        deepest = max(
+            (d for d, g in zip(depths, found.geom.tolist(), strict=True) if geoms & {*g}),
+            default=-1.0,
+        )
+        assert abs(deepest) < 2e-4 or (deepest > 0.0) == (pair is not None)
+        touching += deepest > 0.0
+    assert 3 < touching < 37
 
 
 def test_an_arm_without_fingers_on_sliders_cannot_hold_by_friction(carrying):
