@@ -25,6 +25,7 @@ from cvqmpt_lab.cli.options import (
 )
 from cvqmpt_lab.cli.problem_arguments import chosen_robot, configuration
 from cvqmpt_lab.cli.problem_options import ROBOT, SCAN
+from cvqmpt_lab.features.scan.camera_pose import Region, camera_text, pose_doubts
 from cvqmpt_lab.features.scan.plane import CAMERA_UP
 from cvqmpt_lab.features.scan.scan import (
     MAP_RESOLUTION_M,
@@ -39,7 +40,7 @@ from cvqmpt_lab.features.scan.scan import (
 )
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.cloud_files import CLOUD_HEADERS, write_cloud
-from cvqmpt_lab.scene.scene import Scene, check_extent
+from cvqmpt_lab.scene.scene import Scene, check_extent, log
 from cvqmpt_lab.scene.shapes import PointCloud
 from cvqmpt_lab.sensing.crop import Crop
 
@@ -60,7 +61,8 @@ def scan_of(args: argparse.Namespace, files: Sequence[Path], robot: Robot, arm: 
     intrinsics = _each("--intrinsics", args.intrinsics, files)
     extrinsics = _each("--extrinsics", args.extrinsics, files)
     cameras = [*zip(files, intrinsics, extrinsics, strict=True)]
-    from cvqmpt_lab.features.scan.captures import captures_of  # needs Pillow for images
+    from cvqmpt_lab.features.scan.captures import captures_of, unit_hint  # few commands need it
+    from cvqmpt_lab.features.scan.depth import has_bare_quaternion
 
     reach = math.inf if args.level else robot.reach
     captures = captures_of(cameras, args.scale, reach)
@@ -79,7 +81,20 @@ def scan_of(args: argparse.Namespace, files: Sequence[Path], robot: Robot, arm: 
         plane=args.plane,
         **{name: value for name, value in changes.items() if value is not None},
     )
-    return scan(captures, settings, np.random.default_rng(0), arm)
+    hint = unit_hint(files, captures, args.scale)
+    try:
+        made = scan(captures, settings, np.random.default_rng(0), arm)
+    except InvalidInputError as error:
+        raise InvalidInputError(f"{error}; {hint}" if hint else str(error)) from error
+    away = [float(np.linalg.norm(each.in_world, axis=1).min()) for each in made.captures]
+    if hint and min(away) > robot.reach:
+        log.warning(hint)
+    for file, pose, capture in zip(files, extrinsics, captures, strict=True):
+        named = pose is not None and has_bare_quaternion(pose)
+        doubts = pose_doubts(capture, Region(settings.crop, robot.reach), named)
+        if doubts:
+            log.warning(f"camera of {file}: {doubts}")
+    return made
 
 
 def scene_of(args: argparse.Namespace, made: Scan, robot: Robot, arm: Arm | None) -> Scene:
@@ -185,6 +200,13 @@ def scan_entries(made: Scan, files: Sequence[Path]) -> Iterator[Entry]:
         )
 
 
+def camera_entries(made: Scan, files: Sequence[Path]) -> Iterator[Entry]:
+    """Yield a line on each camera: where it is and where it looks."""
+    for file, capture in zip(files, made.captures, strict=True):
+        name = f"{file.name}: " if len(files) > 1 else ""
+        yield ("camera", f"{name}{camera_text(capture)}")
+
+
 def _spared(args: argparse.Namespace, arm: Arm | None) -> list[Entry]:
     """Return a line on where --unknown occupied makes no obstacles."""
     if args.unknown != "occupied":
@@ -216,7 +238,8 @@ def run(args: argparse.Namespace) -> None:
     check_extent(scene, robot.reach, "scan")
     if arm is not None:
         refuse_touching(scene, arm)
-    print(Report.of((*scan_entries(made, files), *_spared(args, arm))))
+    lines = (*scan_entries(made, files), *camera_entries(made, files), *_spared(args, arm))
+    print(Report.of(lines))
     for note in scene.notes:
         print(f"unseen      {note}")
     for path in args.out:
