@@ -106,32 +106,44 @@ def scene_of(args: argparse.Namespace, made: Scan, robot: Robot, arm: Arm | None
         robot: whose reach counts.
         arm: bodies of the robot in the scan; the space inside them counts as seen.
     """
-    scene = _obstacles_of(args, made, arm)
+    settings = _map_settings(args)
+    scene = _obstacles_of(args, made, arm, settings)
     if args.unknown == "occupied":
         return scene
-    share = unseen_share(made.captures, robot.reach, arm)
+    shadows = settings if args.unknown == "shadow" else None
+    share = unseen_share(made.captures, robot.reach, arm, shadows=shadows)
     return replace(scene, unseen=round(share, 3))
 
 
-def _obstacles_of(args: argparse.Namespace, made: Scan, arm: Arm | None) -> Scene:
+def _map_settings(args: argparse.Namespace) -> MapSettings:
+    """Return the settings of a map; shadows are obstacles inside the crop alone."""
+    region: dict[str, Any] = {}
+    if args.crop and args.unknown == "shadow":
+        region = {"lower": tuple(args.crop[:3]), "upper": tuple(args.crop[3:])}
+    return MapSettings(
+        resolution=args.map or MAP_RESOLUTION_M,
+        padding=args.padding,
+        unknown=args.unknown,
+        robot_margin=args.robot_margin,
+        **region,
+    )
+
+
+def _obstacles_of(
+    args: argparse.Namespace, made: Scan, arm: Arm | None, settings: MapSettings
+) -> Scene:
     """Return the scan as obstacles."""
     if args.radius is not None:
-        if args.unknown == "occupied":
+        if args.unknown != "free":
             raise InvalidInputError(
-                f"--radius {args.radius:g} makes balls of points, --unknown occupied cells: leave "
-                "one of the two out"
+                f"--radius {args.radius:g} makes balls of points, --unknown {args.unknown} cells: "
+                "leave one of the two out"
             )
         refuse_given(args, ["padding"], "inflates cells of a map; with --radius, add it to that")
         refuse_given(args, ["map"], "is the size of cells; --radius makes balls: leave one out")
         return made.scene(PointCloud(made.points, args.radius) if len(made.points) else None)
     if len(made.points) == 0 and args.unknown == "free":
         return made.scene()
-    settings = MapSettings(
-        resolution=args.map or MAP_RESOLUTION_M,
-        padding=args.padding,
-        unknown=args.unknown,
-        robot_margin=args.robot_margin,
-    )
     return made.scene(occupancy_map(made.points, settings, made.captures, arm))
 
 
@@ -208,13 +220,16 @@ def camera_entries(made: Scan, files: Sequence[Path]) -> Iterator[Entry]:
 
 
 def _spared(args: argparse.Namespace, arm: Arm | None) -> list[Entry]:
-    """Return a line on where --unknown occupied makes no obstacles."""
-    if args.unknown != "occupied":
+    """Return a line on which unknown cells --unknown makes obstacles."""
+    if args.unknown == "free":
         return []
     spared = "the arm may stand in them: give --arm-at Q, its configuration, to leave out its own"
     if arm is not None:
         spared = f"except those in which {arm.robot.name} stands during the scan"
-    return [("unknown", f"cells that no ray crossed are obstacles, {spared}")]
+    which = "cells that no ray crossed are obstacles"
+    if args.unknown == "shadow":
+        which = "cells that no ray crossed, behind a measured point, are obstacles"
+    return [("unknown", f"{which}, {spared}")]
 
 
 def run(args: argparse.Namespace) -> None:
