@@ -226,10 +226,12 @@ def _spared(args: argparse.Namespace, arm: Arm | None) -> list[Entry]:
     spared = "the arm may stand in them: give --arm-at Q, its configuration, to leave out its own"
     if arm is not None:
         spared = f"except those in which {arm.robot.name} stands during the scan"
-    which = "cells that no ray crossed are obstacles"
-    if args.unknown == "shadow":
-        which = "cells that no ray crossed, behind a measured point, are obstacles"
-    return [("unknown", f"{which}, {spared}")]
+    if args.unknown == "occupied":
+        return [("unknown", f"cells that no ray crossed are obstacles, {spared}")]
+    if arm is not None:
+        spared = f"except those that {arm.robot.name} alone hides or in which it stands"
+    hidden = "cells that no ray crossed, behind a measured point, are obstacles"
+    return [("unknown", f"{hidden}, {spared}")]
 
 
 def run(args: argparse.Namespace) -> None:

@@ -199,6 +199,17 @@ def near_robot(points: FloatArray, robot: Robot, q: FloatArray, margin: float) -
     return near
 
 
+def without_arm(captures: Sequence[Cloud], arm: Arm | None, margin: float) -> list[Cloud]:
+    """Return captures without the points within a margin [m] of the arm; None: all points."""
+    if arm is None:
+        return [*captures]
+    near = [near_robot(capture.in_world, *arm, margin) for capture in captures]
+    return [
+        replace(capture, points=capture.points[~its])
+        for capture, its in zip(captures, near, strict=True)
+    ]
+
+
 def outliers(points: FloatArray, radius: float, neighbours: int) -> np.ndarray:
     """Return a mask (m,) of points (m, 3) [m] with fewer than `neighbours` others within radius."""
     from scipy.spatial import cKDTree  # takes 0.3 s to import
@@ -221,8 +232,8 @@ class MapSettings:
 
     resolution: float = MAP_RESOLUTION_M  # edge of the cells [m]
     padding: float = 0.0  # distance by which cells are inflated [m]
-    # cells that no ray crossed: free (as in MoveIt), all occupied, or only those in the shadow of a
-    # measured point
+    # cells that no ray crossed: free (as in MoveIt), all occupied, or only those behind a measured
+    # point that is not the arm's
     unknown: Literal["free", "shadow", "occupied"] = "free"
     # region of unknown cells: a box with these corners [m, robot base frame]
     lower: tuple[float, float, float] = (-1.2, -1.2, -0.4)
@@ -269,7 +280,8 @@ def occupancy_map(
                 "leave unknown cells free"
             )
         if settings.unknown == "shadow":
-            unknown = unknown[in_shadow(unknown, captures, settings.resolution)]
+            hiding = without_arm(captures, arm, settings.robot_margin)
+            unknown = unknown[in_shadow(unknown, hiding, settings.resolution)]
         points = np.concatenate([points, unknown])
     if len(points) == 0:
         raise InvalidInputError("no point is left for a map; crop less, or plan without a map")
@@ -301,7 +313,8 @@ def unseen_share(
     places = places[np.linalg.norm(places, axis=1) <= reach]
     if shadows is not None:
         inside = ((places >= shadows.lower) & (places <= shadows.upper)).all(axis=1)
-        places = places[~(inside & in_shadow(places, captures, edge))]
+        hiding = without_arm(captures, arm, shadows.robot_margin)
+        places = places[~(inside & in_shadow(places, hiding, edge))]
     return min(len(places) * edge**3 / (4.0 / 3.0 * np.pi * reach**3), 1.0)
 
 

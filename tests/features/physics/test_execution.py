@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
+from command_line import SCAN_START
 from command_line import refused as command_refused
 from refusals import refused
 from small_arms import box, joint
@@ -260,6 +261,23 @@ def test_execute_reports_and_answers_json(cvqmpt, tmp_path):
     told = json.loads(cvqmpt(f"{words} --json --contact-time 0.002"))
     assert told["outcome"] == "executed as planned"
     assert told["executions"][0]["contact_time"] == 0.002
+
+
+def test_a_scan_with_shadows_is_planned_in_and_executed(scan_folder, tmp_path, cvqmpt):
+    """The story of a depth image broke at its last command. The arm's own shadow is free."""
+    camera = ["--intrinsics", scan_folder / "depth.intrinsics.json"]
+    camera += ["--extrinsics", scan_folder / "depth.extrinsics.json"]
+    words = [*camera, "--arm-at", SCAN_START, "--plane", "box", "--unknown", "shadow"]
+    cvqmpt("scan", scan_folder / "depth.png", *words, "--out", tmp_path / "scene.json")
+    start = [float(x) for x in SCAN_START.split(",")]
+    problem = {"schema": "cvqmpt-problem/1", "name": "scanned", "robot": {"name": "panda"}}
+    problem |= {"scene": "scene.json", "constraint": [], "start": start}
+    problem["goals"] = [[start[0] - 0.2, *start[1:]]]
+    (tmp_path / "p.json").write_text(json.dumps(problem))
+    cvqmpt("plan", tmp_path / "p.json", "--trajectory", tmp_path / "m.json", "--optimize", 0)
+    words = ["--motion", tmp_path / "m.json", "--contact-time", "0.004"]
+    told = cvqmpt("execute", tmp_path / "p.json", *words)
+    assert "outcome     executed as planned" in told
 
 
 @pytest.mark.parametrize("time", ["1e-7", "0.5"])
