@@ -145,4 +145,5 @@ def _other_readings(T: FloatArray, quaternion: bool) -> Iterator[tuple[str, Floa
         a, b, c, d = Rotation.from_matrix(T[:3, :3]).as_quat()
         R = Rotation.from_quat([b, c, d, a]).as_matrix()
         yield "if its quaternion has w first (w last is read: x, y, z, w),", rigid(R, T[:3, 3])
-    yield "if it is the inverse of the camera's pose,", np.linalg.inv(T)
+    back = T[:3, :3].T
+    yield "if it is the inverse of the camera's pose,", rigid(back, -back @ T[:3, 3])
