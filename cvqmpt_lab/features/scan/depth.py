@@ -30,6 +30,7 @@ from cvqmpt_lab.scene.cloud_files import Cloud, check_lengths, read_array, read_
 from cvqmpt_lab.scene.scene import log, refuse_far_poses
 from cvqmpt_lab.sensing.camera import Intrinsics, View
 
+FARTHEST_DEPTH_M = 30.0  # of half of an image in millimetres
 NO_DEPTH = 2**16 - 1  # in images of 16 bits, as 0
 
 
@@ -63,6 +64,13 @@ def read_capture(
     if len(points) == 0:
         raise InvalidInputError(
             f"depth image {path} has no depth: every pixel is 0, 65535 or not finite"
+        )
+    middle = float(np.median(points[:, 2]))
+    if scale is None and middle > FARTHEST_DEPTH_M and has_millimetres(path):
+        raise InvalidInputError(
+            f"depth image {path} is {middle:.3g} m deep if its units are 1 mm; give --scale, the "
+            "length of a unit (0.0001: 0.1 mm) [m]; if it is a renderer's depth buffer, convert it "
+            "to depth"
         )
     check_lengths(points, f"depth image {path}")
     return Cloud(points, len(pixels) - len(points), T)

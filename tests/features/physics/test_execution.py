@@ -31,7 +31,7 @@ from cvqmpt_lab.robot.load import load_robot, robot_from_source, with_gripper
 from cvqmpt_lab.robot.robot import Follower
 from cvqmpt_lab.scene.cells import map_of_points
 from cvqmpt_lab.scene.scene import Scene, SceneObject
-from cvqmpt_lab.scene.shapes import Box, PointCloud
+from cvqmpt_lab.scene.shapes import Box, OccupancyMap, PointCloud
 from cvqmpt_lab.search.result import Budget, JointPath
 
 mujoco = pytest.importorskip("mujoco")
@@ -261,6 +261,18 @@ def test_execute_reports_and_answers_json(cvqmpt, tmp_path):
     told = json.loads(cvqmpt(f"{words} --json --contact-time 0.002"))
     assert told["outcome"] == "executed as planned"
     assert told["executions"][0]["contact_time"] == 0.002
+
+
+def test_a_load_rests_on_the_boxes_of_a_map_below_it_alone(panda):
+    floor = [(i, j, 0) for i in range(-5, 5) for j in range(-5, 5)]
+    cells = np.array([*floor, *((2, j, k) for j in range(-5, 5) for k in range(1, 6))])
+    scan = SceneObject("scan", OccupancyMap(cells, 0.02), pose((0.5, 0.0, 0.2)))
+    scene, q = Scene("s", (scan,)), 0.5 * (panda.lower + panda.upper)
+    world = Simulation(panda, scene, q, Controller("position-servo", panda), Physics(0.004), False)
+    load = Box((0.06, 0.06, 0.06)), pose((0.509, 0.0, 0.251))  # 1 mm from floor and wall
+    (support,) = execute._rest(world, scene, [load]).supports
+    assert len(world.obstacles["scan"]) == 2 and world.names[support] == "scan"
+    assert world.model.geom_pos[support][2] == pytest.approx(0.01)
 
 
 def test_a_scan_with_shadows_is_planned_in_and_executed(scan_folder, tmp_path, cvqmpt):

@@ -8,7 +8,7 @@ from command_line import refused as command_refused
 from command_line import run_here
 from refusals import refused
 
-from cvqmpt_lab.features.scan.depth import read_depth, write_depth
+from cvqmpt_lab.features.scan.depth import read_capture, read_depth, write_depth
 from cvqmpt_lab.sensing.camera import Intrinsics
 
 LENS = Intrinsics(160, 120, 110.0, 110.0, 80.0, 60.0)
@@ -100,3 +100,13 @@ def test_a_scan_in_units_of_a_tenth_of_a_millimetre_names_the_scale(
     caplog.clear()
     run_here([*words, "--scale", 0.0001])
     assert not caplog.text
+
+
+def test_a_depth_buffer_or_finer_unit_in_16_bits_does_not_name_millimetres(tmp_path, camera):
+    """The cure was --scale 0.001, which such images have by default."""
+    write_depth(tmp_path / "a.png", buffer_of(depth_of(1.2, 90), 0.01, 10.0), 1.0 / 60_000)
+    lens, pose = camera[1::2]
+    told = refused(
+        "m deep if its units are 1 mm; give --scale", read_capture, tmp_path / "a.png", lens, pose
+    )
+    assert "a.png is 59.6 m deep" in told and "buffer, convert it" in told
