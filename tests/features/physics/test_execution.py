@@ -271,7 +271,7 @@ def test_a_load_rests_on_the_boxes_of_a_map_below_it_alone(panda):
     world = Simulation(panda, scene, q, Controller("position-servo", panda), Physics(0.004), False)
     load = Box((0.06, 0.06, 0.06)), pose((0.509, 0.0, 0.251))  # 1 mm from floor and wall
     (support,) = execute._rest(world, scene, [load]).supports
-    assert len(world.obstacles["scan"]) == 2 and world.names[support] == "scan"
+    assert len(world.obstacles["scan"]) == 3 and world.names[support] == "scan"
     assert world.model.geom_pos[support][2] == pytest.approx(0.01)
 
 
