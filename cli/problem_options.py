@@ -336,8 +336,9 @@ SCAN: Options = {
             "inflation radius of the cells (0)", type=float, default=0.0, metavar="M"
         ),
         "--unknown": option(
-            "state of cells that no camera ray crossed (free)",
-            choices=("free", "occupied"),
+            "cells that no camera ray crossed: free, all occupied, or occupied only in the shadow "
+            "of a measured point, inside --crop (free)",
+            choices=("free", "shadow", "occupied"),
             default="free",
         ),
         "--radius": option(
