@@ -1,7 +1,6 @@
 """Source of a robot, the field "robot" of a problem file; table of the arms that have a name."""
 
 import hashlib
-import importlib
 import os
 import re
 import stat
@@ -18,6 +17,7 @@ import numpy as np
 
 from cvqmpt_lab.base.codec import from_plain
 from cvqmpt_lab.base.errors import InvalidInputError, UnknownChoiceError, located, mapping, unique
+from cvqmpt_lab.base.modules import installed_module, require_code_allowed
 from cvqmpt_lab.base.poses import Pose
 from cvqmpt_lab.base.values import FloatArray, numbers
 from cvqmpt_lab.robot.robot import FrameLimit
@@ -175,8 +175,15 @@ def read_source(source: Mapping[str, Any]) -> RobotSource:
 def _of_descriptions(given: RobotSource) -> RobotSource:
     """Return the source of rd:NAME, a robot of the package robot_descriptions, with its URDF."""
     name = given.name.removeprefix("rd:")
+    require_code_allowed(
+        f"robot {given.name!r} is made by the package robot_descriptions, which runs and may "
+        "download the robot",
+        "give its URDF, --robot ARM.urdf",
+    )
     try:
-        module = importlib.import_module(f"robot_descriptions.{name}_description")
+        if not name.isidentifier():
+            raise ModuleNotFoundError("its name is no word")
+        module = installed_module("robot_descriptions", f"robot_descriptions.{name}_description")
     except ModuleNotFoundError as error:
         raise InvalidInputError(
             f"robot {given.name!r} is not found ({error}): pip install robot_descriptions; its "
