@@ -333,6 +333,8 @@ def test_machine_code_with_a_changed_bit_is_compiled_anew(tmp_path, shrink, suff
         data[(number + 1) * len(data) // (len(files) + 1)] ^= 1 << (number % 8)
         file.write_bytes(data)
     radius, _, _, said = shrink()
-    told = [line for line in said if "is damaged (its digest differs): it is compiled again" in line]
+    told = [
+        line for line in said if "is damaged (its digest differs): it is compiled again" in line
+    ]
     assert radius == whole[0] and len(told) == len(files) > 0
     assert shrink() == whole[:1] + (len(list(tmp_path.rglob("*.nbc"))), *whole[2:])
