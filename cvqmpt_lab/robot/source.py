@@ -436,7 +436,8 @@ def find_collision_meshes(
         The absolute paths, one for each mesh, and the links that lost a body.
 
     Raises:
-        InvalidInputError: a mesh is not found, or its unit is not a number; the message names it.
+        InvalidInputError: a mesh is not found or an archive, or its unit is not a number; the
+            message names it.
     """
     found, lost = list[str](), list[str]()
     bodies = [(link, body) for link in root.findall("link") for body in link.findall("collision")]
@@ -455,6 +456,11 @@ def find_collision_meshes(
             link.remove(body)
             lost.append(link.get("name", ""))
             continue
+        with path.open("rb") as file:
+            if file.read(4) == b"PK\3\4":  # its size when it is unpacked has no bound
+                raise InvalidInputError(
+                    f"{urdf.name}: mesh {name!r} is a zip archive; give an STL, OBJ or DAE file"
+                )
         found.append(str(path.resolve()))
         mesh.set("filename", found[-1])
         if path.suffix.lower() == ".dae":

@@ -301,6 +301,13 @@ def test_a_package_is_found_by_the_name_in_its_package_xml(edited, tmp_path, mon
     refused(told, load_robot, inside, "tool")
 
 
+def test_a_mesh_that_is_an_archive_is_refused(edited, tmp_path):
+    """Archives of meshes, such as 3MF, have no bound on their size when they are unpacked."""
+    (tmp_path / "ball.3mf").write_bytes(b"PK\3\4")
+    urdf = edited((SPHERE, '<mesh filename="ball.3mf"/>'))
+    refused("arm.urdf: mesh 'ball.3mf' is a zip archive; give an STL", load_robot, urdf, "tool")
+
+
 def test_xml_is_read_as_programs_of_ros_read_it(edited, slider_arm):
     """A default namespace, prefixes that are not bound and blanks before the declaration."""
     plain = '<robot name="slider_arm">'
