@@ -202,7 +202,7 @@ class _CheckedFiles(IndexDataCacheFile):
     """Numba's files of an entry, an index and machine code; each begins with its own sha256.
 
     A changed bit would end in a crash of the process. A changed file is removed, and the entry is
-    compiled again. The digest of 10 MB takes 7 ms.
+    compiled again. The digests of all 10 MB take 18 ms.
     """
 
     def _load_index(self) -> dict[Any, str]:
