@@ -23,15 +23,20 @@ from cvqmpt_lab.base.errors import (
 )
 from cvqmpt_lab.base.files import json_value, write_bytes, write_text, yaml_value
 from cvqmpt_lab.base.poses import Placement, Pose, PoseForm, rigid, ros_vector
-from cvqmpt_lab.base.readers import read_by_suffix
+from cvqmpt_lab.base.readers import read_array, read_by_suffix
 from cvqmpt_lab.base.values import Array, FloatArray
+<<<<<<< HEAD
 from cvqmpt_lab.features.scan.depth_forms import refuse_buffer
 from cvqmpt_lab.scene.cloud_files import Cloud, check_lengths, read_array, read_cloud
+=======
+from cvqmpt_lab.scene.cloud_files import Cloud, check_lengths, read_cloud
+>>>>>>> w1
 from cvqmpt_lab.scene.scene import log, refuse_far_poses
 from cvqmpt_lab.sensing.camera import Intrinsics, View
 
 FARTHEST_DEPTH_M = 30.0  # of half of an image in millimetres
 NO_DEPTH = 2**16 - 1  # in images of 16 bits, as 0
+MAX_PIXELS = 2**24  # of an image; its points then take 400 MB
 
 
 def read_capture(
@@ -148,6 +153,11 @@ def _read_png(data: bytes, lens: Intrinsics) -> np.ndarray:
                 f"it is a picture of mode {image.mode}, without depth: give a 16-bit depth image"
             )
         _check_size((image.height, image.width), lens)
+        if image.width * image.height > MAX_PIXELS:
+            raise InvalidInputError(
+                f"it has {image.width} x {image.height} pixels, at most {MAX_PIXELS} are read: "
+                "give a smaller image, with its intrinsics"
+            )
         # PNG compresses at most by a factor of 1100
         if image.width * image.height * 2 > 1100 * len(data):
             raise InvalidInputError(
