@@ -309,7 +309,7 @@ def main(argv: list[str] | None = None) -> int:
             gc.freeze()
             gc.enable()
         if getattr(args, "allow_code", False):
-            from cvqmpt_lab.constraints.function_files import allow_code  # few commands do
+            from cvqmpt_lab.base.modules import allow_code  # few commands do
 
             allow_code()
         code = command_named(args.command)[0](args)

@@ -160,17 +160,20 @@ ROBOT_DETAILS: Options = {  # of `cvqmpt robot`, which writes them into a robot 
         choices=("visual", "hulls"),
     ),
 }
+CODE: Options = {
+    "--allow-code": option(
+        "let files start code: constraint functions that a problem file names, xacro in a URDF, "
+        "and the package of a robot rd:NAME",
+        **FLAG,
+    )
+}
 ROBOT: Options = {
     "--robot": option(
         "an arm by name (panda, ur5, xarm7, ...; cvqmpt robot lists them), a URDF file, or a robot "
         "file that cvqmpt robot wrote",
         metavar="NAME|URDF|robot.json",
     ),
-}
-CODE: Options = {
-    "--allow-code": option(
-        "import the modules of constraint functions that the problem file names", **FLAG
-    )
+    **CODE,
 }
 PROBLEM: Options = {
     "suite": option(
@@ -336,8 +339,9 @@ SCAN: Options = {
             "inflation radius of the cells (0)", type=float, default=0.0, metavar="M"
         ),
         "--unknown": option(
-            "state of cells that no camera ray crossed (free)",
-            choices=("free", "occupied"),
+            "cells that no camera ray crossed: free, all occupied, or occupied only in the shadow "
+            "of a measured point, inside --crop (free)",
+            choices=("free", "shadow", "occupied"),
             default="free",
         ),
         "--radius": option(

@@ -14,7 +14,7 @@ from cvqmpt_lab.base.files import json_text, write_text
 from cvqmpt_lab.base.reports import Entry, Report
 from cvqmpt_lab.cli.options import FLAG, Options, file_of_kind, log, option, picture_file
 from cvqmpt_lab.cli.problem_arguments import robot_options, source_named
-from cvqmpt_lab.cli.problem_options import ROBOT_DETAILS
+from cvqmpt_lab.cli.problem_options import CODE, ROBOT_DETAILS
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.robot.dynamics import without_effort_limit
 from cvqmpt_lab.robot.hulls import OVERLAP
@@ -185,6 +185,7 @@ OPTIONS: Options = {
         metavar="NAME|URDF|FILE",
     ),
     **ROBOT_DETAILS,
+    **CODE,
     "--json": option("print everything as one json object", **FLAG),
     "--picture": option(
         "draw the robot; with --bodies hulls its collision pieces",

@@ -25,6 +25,7 @@ from cvqmpt_lab.cli.options import (
 )
 from cvqmpt_lab.cli.problem_arguments import chosen_robot, configuration
 from cvqmpt_lab.cli.problem_options import ROBOT, SCAN
+from cvqmpt_lab.features.scan.camera_pose import Region, camera_text, pose_doubts
 from cvqmpt_lab.features.scan.plane import CAMERA_UP
 from cvqmpt_lab.features.scan.scan import (
     MAP_RESOLUTION_M,
@@ -39,7 +40,7 @@ from cvqmpt_lab.features.scan.scan import (
 )
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.cloud_files import CLOUD_HEADERS, write_cloud
-from cvqmpt_lab.scene.scene import Scene, check_extent
+from cvqmpt_lab.scene.scene import Scene, check_extent, log
 from cvqmpt_lab.scene.shapes import PointCloud
 from cvqmpt_lab.sensing.crop import Crop
 
@@ -60,7 +61,8 @@ def scan_of(args: argparse.Namespace, files: Sequence[Path], robot: Robot, arm: 
     intrinsics = _each("--intrinsics", args.intrinsics, files)
     extrinsics = _each("--extrinsics", args.extrinsics, files)
     cameras = [*zip(files, intrinsics, extrinsics, strict=True)]
-    from cvqmpt_lab.features.scan.captures import captures_of  # needs Pillow for images
+    from cvqmpt_lab.features.scan.captures import captures_of, unit_hint  # few commands need it
+    from cvqmpt_lab.features.scan.depth import has_bare_quaternion
 
     reach = math.inf if args.level else robot.reach
     captures = captures_of(cameras, args.scale, reach)
@@ -79,7 +81,20 @@ def scan_of(args: argparse.Namespace, files: Sequence[Path], robot: Robot, arm: 
         plane=args.plane,
         **{name: value for name, value in changes.items() if value is not None},
     )
-    return scan(captures, settings, np.random.default_rng(0), arm)
+    hint = unit_hint(files, captures, args.scale)
+    try:
+        made = scan(captures, settings, np.random.default_rng(0), arm)
+    except InvalidInputError as error:
+        raise InvalidInputError(f"{error}; {hint}" if hint else str(error)) from error
+    away = [float(np.linalg.norm(each.in_world, axis=1).min()) for each in made.captures]
+    if hint and min(away) > robot.reach:
+        log.warning(hint)
+    for file, pose, capture in zip(files, extrinsics, captures, strict=True):
+        named = pose is not None and has_bare_quaternion(pose)
+        doubts = pose_doubts(capture, Region(settings.crop, robot.reach), named)
+        if doubts:
+            log.warning(f"camera of {file}: {doubts}")
+    return made
 
 
 def scene_of(args: argparse.Namespace, made: Scan, robot: Robot, arm: Arm | None) -> Scene:
@@ -91,32 +106,44 @@ def scene_of(args: argparse.Namespace, made: Scan, robot: Robot, arm: Arm | None
         robot: whose reach counts.
         arm: bodies of the robot in the scan; the space inside them counts as seen.
     """
-    scene = _obstacles_of(args, made, arm)
+    settings = _map_settings(args)
+    scene = _obstacles_of(args, made, arm, settings)
     if args.unknown == "occupied":
         return scene
-    share = unseen_share(made.captures, robot.reach, arm)
+    shadows = settings if args.unknown == "shadow" else None
+    share = unseen_share(made.captures, robot.reach, arm, shadows=shadows)
     return replace(scene, unseen=round(share, 3))
 
 
-def _obstacles_of(args: argparse.Namespace, made: Scan, arm: Arm | None) -> Scene:
+def _map_settings(args: argparse.Namespace) -> MapSettings:
+    """Return the settings of a map; shadows are obstacles inside the crop alone."""
+    region: dict[str, Any] = {}
+    if args.crop and args.unknown == "shadow":
+        region = {"lower": tuple(args.crop[:3]), "upper": tuple(args.crop[3:])}
+    return MapSettings(
+        resolution=args.map or MAP_RESOLUTION_M,
+        padding=args.padding,
+        unknown=args.unknown,
+        robot_margin=args.robot_margin,
+        **region,
+    )
+
+
+def _obstacles_of(
+    args: argparse.Namespace, made: Scan, arm: Arm | None, settings: MapSettings
+) -> Scene:
     """Return the scan as obstacles."""
     if args.radius is not None:
-        if args.unknown == "occupied":
+        if args.unknown != "free":
             raise InvalidInputError(
-                f"--radius {args.radius:g} makes balls of points, --unknown occupied cells: leave "
-                "one of the two out"
+                f"--radius {args.radius:g} makes balls of points, --unknown {args.unknown} cells: "
+                "leave one of the two out"
             )
         refuse_given(args, ["padding"], "inflates cells of a map; with --radius, add it to that")
         refuse_given(args, ["map"], "is the size of cells; --radius makes balls: leave one out")
         return made.scene(PointCloud(made.points, args.radius) if len(made.points) else None)
     if len(made.points) == 0 and args.unknown == "free":
         return made.scene()
-    settings = MapSettings(
-        resolution=args.map or MAP_RESOLUTION_M,
-        padding=args.padding,
-        unknown=args.unknown,
-        robot_margin=args.robot_margin,
-    )
     return made.scene(occupancy_map(made.points, settings, made.captures, arm))
 
 
@@ -185,14 +212,26 @@ def scan_entries(made: Scan, files: Sequence[Path]) -> Iterator[Entry]:
         )
 
 
+def camera_entries(made: Scan, files: Sequence[Path]) -> Iterator[Entry]:
+    """Yield a line on each camera: where it is and where it looks."""
+    for file, capture in zip(files, made.captures, strict=True):
+        name = f"{file.name}: " if len(files) > 1 else ""
+        yield ("camera", f"{name}{camera_text(capture)}")
+
+
 def _spared(args: argparse.Namespace, arm: Arm | None) -> list[Entry]:
-    """Return a line on where --unknown occupied makes no obstacles."""
-    if args.unknown != "occupied":
+    """Return a line on which unknown cells --unknown makes obstacles."""
+    if args.unknown == "free":
         return []
     spared = "the arm may stand in them: give --arm-at Q, its configuration, to leave out its own"
     if arm is not None:
         spared = f"except those in which {arm.robot.name} stands during the scan"
-    return [("unknown", f"cells that no ray crossed are obstacles, {spared}")]
+    if args.unknown == "occupied":
+        return [("unknown", f"cells that no ray crossed are obstacles, {spared}")]
+    if arm is not None:
+        spared = f"except those that {arm.robot.name} alone hides or in which it stands"
+    hidden = "cells that no ray crossed, behind a measured point, are obstacles"
+    return [("unknown", f"{hidden}, {spared}")]
 
 
 def run(args: argparse.Namespace) -> None:
@@ -216,7 +255,8 @@ def run(args: argparse.Namespace) -> None:
     check_extent(scene, robot.reach, "scan")
     if arm is not None:
         refuse_touching(scene, arm)
-    print(Report.of((*scan_entries(made, files), *_spared(args, arm))))
+    lines = (*scan_entries(made, files), *camera_entries(made, files), *_spared(args, arm))
+    print(Report.of(lines))
     for note in scene.notes:
         print(f"unseen      {note}")
     for path in args.out:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from cvqmpt_lab.base.errors import InvalidInputError, in_checkout
 from cvqmpt_lab.base.files import write_bytes, write_text
+from cvqmpt_lab.base.modules import require_code_allowed
 from cvqmpt_lab.benchmarks.results.provenance import PROVENANCE_FILE
 from cvqmpt_lab.benchmarks.results.store import directory_rows
 from cvqmpt_lab.cli.options import (
@@ -212,6 +213,12 @@ def check_tables(args: argparse.Namespace) -> int:
         guarded, expected = regression.guarded_by(
             regression.Expectations.load(path, command), planners
         )
+        for name in guarded.planners if not planners else ():
+            if ":" in name:  # a name without it is ours, or an entry point of an installed package
+                require_code_allowed(
+                    f"{path} names the planner {name}, whose module would run",
+                    f"name it: --planners {','.join(guarded.planners)}",
+                )
     compile_kernels(compiling())
     jobs = args.jobs or default_jobs()
     outcomes = guarded.measure(args.folder, jobs, ProgressBar("check-tables"))

@@ -20,11 +20,12 @@ provide(
 
 # Editors and type checkers read these imports; at run time `__getattr__` does them when needed.
 if TYPE_CHECKING:
+    from cvqmpt_lab.base.modules import allow_code
     from cvqmpt_lab.base.poses import Placement, pose
     from cvqmpt_lab.benchmarks.suite import suite_named
     from cvqmpt_lab.certificate.certificate import certify
     from cvqmpt_lab.constraints.function import FunctionConstraint, torch_constraint
-    from cvqmpt_lab.constraints.function_files import allow_code, load_function
+    from cvqmpt_lab.constraints.function_files import load_function
     from cvqmpt_lab.constraints.named import region
     from cvqmpt_lab.constraints.task_space_region import (
         TaskSpaceRegion,
@@ -124,6 +125,7 @@ __all__ = [
 
 __version__: str  # looked up when it is first used
 _NAMES: dict[str, tuple[str, ...]] = {
+    "base.modules": ("allow_code",),
     "base.poses": ("Placement", "pose"),
     "benchmarks.suite": ("suite_named",),
     "certificate.certificate": ("certify",),
@@ -131,7 +133,7 @@ _NAMES: dict[str, tuple[str, ...]] = {
     "features.motion.motion_check": ("certified_motion",),
     "features.plan": ("Plan", "Request", "plan"),
     "constraints.function": ("FunctionConstraint", "torch_constraint"),
-    "constraints.function_files": ("allow_code", "load_function"),
+    "constraints.function_files": ("load_function",),
     "constraints.named": ("region",),
     "constraints.task_space_region": (
         "TaskSpaceRegion",

@@ -150,7 +150,14 @@ def xml_root(text: str, what: str) -> Element:
     from xml.etree.ElementTree import TreeBuilder  # imported here: most runs read no such file
     from xml.parsers import expat
 
+    def refuse_entity(name: str, *definition: Any) -> None:
+        raise InvalidInputError(
+            f"cannot read {what}: it declares the entity {shown(name)}, which could grow without "
+            "limit; write its value out"
+        )
+
     builder, parser = TreeBuilder(), expat.ParserCreate()
+    parser.EntityDeclHandler = refuse_entity
     parser.StartElementHandler = builder.start
     parser.EndElementHandler = builder.end
     parser.CharacterDataHandler = builder.data

@@ -15,6 +15,7 @@ or nan; a product and a sum may become one instruction (saves a quarter of forwa
 import contextlib
 import functools
 import hashlib
+import io
 import logging
 import os
 import pickle
@@ -31,7 +32,7 @@ from llvmlite import binding as llvm
 from llvmlite import ir
 from numba import config, from_dtype, njit, types
 from numba.core import cgutils
-from numba.core.caching import FunctionCache, UserProvidedCacheLocator
+from numba.core.caching import FunctionCache, IndexDataCacheFile, UserProvidedCacheLocator
 from numba.core.errors import TypingError
 from numba.core.registry import cpu_target
 from numba.extending import intrinsic
@@ -197,8 +198,57 @@ class Locator(UserProvidedCacheLocator):
         """Do nothing: numba's check would refuse a folder that can be read but not written."""
 
 
+class _CheckedFiles(IndexDataCacheFile):
+    """Numba's files of an entry, an index and machine code; each begins with its own sha256.
+
+    A changed bit would end in a crash of the process. A changed file is removed, and the entry is
+    compiled again. The digests of all 10 MB take 18 ms.
+    """
+
+    def _load_index(self) -> dict[Any, str]:
+        try:
+            stream = io.BytesIO(self._checked(self._index_path))
+        except FileNotFoundError:
+            return {}
+        # data of another version may not be readable
+        if pickle.load(stream) != self._version:
+            return {}
+        stamp, names = pickle.load(stream)
+        return names if stamp == self._source_stamp else {}
+
+    def _save_index(self, overloads: dict[Any, str]) -> None:
+        content = self._dump((self._source_stamp, overloads))
+        self._write(self._index_path, pickle.dumps(self._version) + content)
+
+    def _load_data(self, name: str) -> Any:
+        return pickle.loads(self._checked(self._data_path(name)))
+
+    def _save_data(self, name: str, data: Any) -> None:
+        self._write(self._data_path(name), self._dump(data))
+
+    def _write(self, path: str, content: bytes) -> None:
+        with self._open_for_write(path) as file:
+            file.write(hashlib.sha256(content).digest() + content)
+
+    def _checked(self, path: str) -> bytes:
+        """Return the content of a file; FileNotFoundError if its digest is another."""
+        data = Path(path).read_bytes()
+        size = hashlib.sha256().digest_size
+        if hashlib.sha256(memoryview(data)[size:]).digest() == data[:size]:
+            return data[size:]
+        _log.warning("%s is damaged (its digest differs): it is compiled again ...", path)
+        with contextlib.suppress(OSError):
+            Path(path).unlink()
+        raise FileNotFoundError(path)
+
+
 class _Cache(FunctionCache):
     """Machine code of an entry on disk; it is compiled again if the file cannot be read."""
+
+    def __init__(self, py_func: Callable) -> None:
+        super().__init__(py_func)
+        stamp = self._impl.locator.get_source_stamp()
+        self._cache_file = _CheckedFiles(self._cache_path, self._impl.filename_base, stamp)
 
     def library(self, sig: tuple[types.Type, ...]) -> tuple[Any, Any, Any] | None:
         """Return machine code, description and environment for a signature; None: not on disk.

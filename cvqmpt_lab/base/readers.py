@@ -1,6 +1,9 @@
 """Read files by their suffix, and fields of plain data that somebody else wrote."""
 
 import contextlib
+import io
+import math
+import zipfile
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,6 +18,8 @@ from cvqmpt_lab.base.errors import (
     shown,
 )
 from cvqmpt_lab.base.files import read_bytes
+
+NPZ_COMPRESSIONS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 
 
 def read_by_suffix(
@@ -76,3 +81,59 @@ def listed(value: Any, what: str) -> Sequence[Any]:
 def field_of(value: Any, name: str) -> Any:
     """Return a field of a mapping, or None."""
     return value.get(name) if isinstance(value, Mapping) else None
+
+
+def read_array(data: bytes | bytearray) -> np.ndarray:
+    """Return the array of an NPY file of version 1 or 2, read-only.
+
+    Raises:
+        InvalidInputError, ValueError: the file is damaged or has Python objects.
+    """
+    stream = io.BytesIO(data)
+    version = np.lib.format.read_magic(stream)
+    if version not in ((1, 0), (2, 0)):
+        raise InvalidInputError(f"NPY version {version} is not known; write version 1 or 2")
+    read_header = getattr(np.lib.format, f"read_array_header_{version[0]}_0")
+    shape, by_column, kind = read_header(stream)
+    if kind.hasobject:
+        raise InvalidInputError("it holds Python objects, which may run code; write plain numbers")
+    if min(shape, default=0) < 0 or math.prod(shape) * kind.itemsize != len(data) - stream.tell():
+        raise InvalidInputError(
+            f"its header says shape {shape} of {kind}, the file holds another size"
+        )
+    if 0 in (kind.itemsize, *shape):
+        return np.empty(shape, kind)
+    array = np.frombuffer(data, kind, offset=stream.tell())
+    return array.reshape(shape, order="F" if by_column else "C")
+
+
+def read_arrays(data: bytes, most: int = 2**31) -> dict[str, np.ndarray]:
+    """Return the arrays of an NPZ file by name.
+
+    Sizes are compared with `most` before anything is unpacked: 4 MB can hold 4 GB of zeros.
+
+    Args:
+        data: content of the file.
+        most: largest size of all arrays together [bytes].
+
+    Raises:
+        InvalidInputError, ValueError, zipfile.BadZipFile: the file is damaged, too large or has
+            Python objects.
+    """
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        members = archive.infolist()
+        odd = next((one for one in members if one.compress_type not in NPZ_COMPRESSIONS), None)
+        if odd is not None:
+            raise InvalidInputError(
+                f"{shown(odd.filename)} is compressed in a way that numpy does not write; save it "
+                "by np.savez_compressed"
+            )
+        size = sum(one.file_size for one in members)
+        if size > most:
+            raise InvalidInputError(
+                f"it unpacks to {size} bytes, at most {most} are read: save fewer or smaller arrays"
+            )
+        return {
+            one.filename.removesuffix(".npy"): read_array(bytearray(archive.read(one)))
+            for one in members
+        }

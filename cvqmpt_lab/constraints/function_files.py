@@ -1,27 +1,16 @@
 """Constraints of the user's own by address, in problem files and on the command line.
 
-A file alone never runs code: it may name a function where `allow_code` was called before.
+A file alone never runs code: it may name a function where `base.modules.allow_code` was called.
 """
 
 import inspect
 from collections.abc import Mapping
 from importlib import metadata
-from typing import Any, ClassVar
+from typing import Any
 
 from cvqmpt_lab.base.errors import InvalidInputError, UnknownChoiceError, at, mapping, shown
-from cvqmpt_lab.base.modules import described, imported
+from cvqmpt_lab.base.modules import described, imported, require_code_allowed
 from cvqmpt_lab.constraints.function import FunctionConstraint
-
-
-class Code:
-    """Whether problem files may name code."""
-
-    allowed: ClassVar[bool] = False
-
-
-def allow_code() -> None:
-    """Let problem files name functions, whose modules are then imported."""
-    Code.allowed = True
 
 
 def function_of(value: Mapping[str, Any], where: str) -> FunctionConstraint:
@@ -30,11 +19,7 @@ def function_of(value: Mapping[str, Any], where: str) -> FunctionConstraint:
     address = fields.pop("function")
     if not isinstance(address, str):
         raise InvalidInputError(f"{at(where, 'function')} is {shown(address)}; write 'my_module:F'")
-    if not Code.allowed:
-        raise InvalidInputError(
-            f"{where} names code, {address!r}, which would run: add --allow-code if you trust the "
-            "file (in Python: call allow_code())"
-        )
+    require_code_allowed(f"{where} names code, {address!r}, which would run")
     return load_function(address, fields)
 
 

@@ -46,6 +46,7 @@ class PlannerProcess:
         self.module, self.attribute = module, attribute
         self.has_planned = False  # since it was started
         self._process: subprocess.Popen[bytes] | None = None
+        self._planner = 0  # id of the planner's process, leader of its group
         self._owner = 0  # id of the process that started it; a fork of that one is not the owner
         self._written, self._first = 0, b""  # number of bytes of its standard output; the first
 
@@ -56,7 +57,8 @@ class PlannerProcess:
         """
         program = (
             "import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
-            "from cvqmpt_lab.external.worker import main; main(int(sys.argv[2]), int(sys.argv[3]))"
+            "from cvqmpt_lab.external.supervisor import supervise; "
+            "supervise(int(sys.argv[2]), int(sys.argv[3]))"
         )
         self.stop()
         self._connection, theirs = socket.socketpair()
@@ -65,14 +67,17 @@ class PlannerProcess:
             self._process = subprocess.Popen(
                 (sys.executable, "-c", program, json.dumps(sys.path), *numbers),
                 stdin=subprocess.DEVNULL,
+                # pipes of its own: what it starts does not keep ours open
                 stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
                 pass_fds=(theirs.fileno(),),
-                # own process group: Ctrl-C does not reach it, and it ends with its children
+                # own process group: Ctrl-C does not reach it
                 start_new_session=True,
             )
         self._owner, self.has_planned = os.getpid(), False
         self._end = weakref.finalize(self, _end, self._process, self._connection, self._owner)
         try:
+            self._planner = self._id_of_planner()
             words, _ = self.call("make", self.name, self.module, self.attribute)
         except NoReply as error:
             why = f"no reply in {START_TIMEOUT_S:g} s" if error.late else str(error)
@@ -82,6 +87,17 @@ class PlannerProcess:
             self.stop()
             raise InvalidInputError(str(words.get("refused", words["error"])))
         return words
+
+    def _id_of_planner(self) -> int:
+        """Return the id of the planner's process, a child of the one that was started."""
+        self._connection.settimeout(START_TIMEOUT_S)
+        try:
+            data = self._connection.recv(LENGTH_BYTES, socket.MSG_WAITALL)
+        except OSError as error:
+            raise NoReply(self._how_it_ended()) from error
+        if len(data) < LENGTH_BYTES:
+            raise NoReply(self._how_it_ended())
+        return int.from_bytes(data)
 
     def hand_over(self, problem: PlanningProblem) -> None:
         """Send the next problem, which is not timed; NoReply if that fails."""
@@ -179,20 +195,22 @@ class PlannerProcess:
         return bytes(data[LENGTH_BYTES:size])
 
     def _output(self) -> tuple[Any, ...]:
-        """Its standard output, or nothing once that is closed."""
-        stream = self._process.stdout if self._process is not None else None
-        return () if stream is None or stream.closed else (stream,)
+        """Its standard output and standard error, without what is closed."""
+        process = self._process
+        streams = () if process is None else (process.stdout, process.stderr)
+        return tuple(stream for stream in streams if stream is not None and not stream.closed)
 
     def _read_output(self, most_parts: int = 16) -> None:
-        """Copy its standard output to standard error."""
+        """Copy its standard output and standard error to standard error."""
         for _ in range(most_parts):
             ready: Any = wait(self._output(), 0.0) if self._output() else ()
             for stream in ready:
                 part = os.read(stream.fileno(), 2**16)
                 if not part:
                     stream.close()
-                self._written += len(part)
-                self._first = (self._first + part)[:1000]
+                if self._process is not None and stream is self._process.stdout:
+                    self._written += len(part)
+                    self._first = (self._first + part)[:1000]
                 # standard error may be closed
                 with contextlib.suppress(AttributeError, OSError, ValueError):
                     sys.stderr.write(part.decode(errors="replace"))
@@ -214,19 +232,23 @@ class PlannerProcess:
         return f"its process was ended by {signal.Signals(-code).name}{cause}"
 
     def _signal(self, name: str) -> None:
-        """Send a signal to the process and its child processes; only on Linux."""
-        if sys.platform == "linux" and self._process is not None:
+        """Send a signal to the planner and its child processes; only on Linux."""
+        if sys.platform == "linux" and self._process is not None and self._planner:
             with contextlib.suppress(ProcessLookupError):
-                os.killpg(self._process.pid, signal.Signals[name])
+                os.killpg(self._planner, signal.Signals[name])
 
 
 def _end(process: subprocess.Popen[bytes], connection: socket.socket, owner: int) -> None:
-    """Kill a process and its children; does nothing in a fork of the process `owner`."""
+    """End a process and all that it started; does nothing in a fork of the process `owner`."""
     if os.getpid() != owner:
         return
     connection.close()
-    with contextlib.suppress(ProcessLookupError):
-        os.killpg(process.pid, signal.SIGKILL)
-    process.wait()
-    if process.stdout is not None:
-        process.stdout.close()
+    process.terminate()  # the supervisor ends what is below it, and then itself
+    try:
+        process.wait(10.0)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+    for stream in (process.stdout, process.stderr):
+        if stream is not None:
+            stream.close()

@@ -22,6 +22,7 @@ from cvqmpt_lab.base.errors import (
     require_choice,
     shown,
 )
+from cvqmpt_lab.base.modules import Code, allow_code
 from cvqmpt_lab.base.values import Array, FloatArray
 from cvqmpt_lab.robot.hulls import (
     checked_pairs,
@@ -206,8 +207,18 @@ def _cached_mechanism(robot: Robot, articulated: str) -> Robot:
     return with_articulated_object(robot, item)
 
 
-def unpickled(source: Mapping[str, Any], files: Sequence[tuple[str, str]]) -> Robot:
-    """Build a pickled robot again from its source; refuse if one of its files has changed."""
+def unpickled(
+    source: Mapping[str, Any], files: Sequence[tuple[str, str]], code_allowed: bool = False
+) -> Robot:
+    """Build a pickled robot again from its source; refuse if one of its files has changed.
+
+    Args:
+        source: of the robot.
+        files: its files with their digests.
+        code_allowed: whether files may start code where the robot was pickled.
+    """
+    if code_allowed:
+        allow_code()
     robot = robot_from_source(source)
     if [digest for _, digest in robot.files] != [digest for _, digest in files]:
         changed = next((path for path, digest in files if content_digest(path) != digest), source)
@@ -218,7 +229,7 @@ def unpickled(source: Mapping[str, Any], files: Sequence[tuple[str, str]]) -> Ro
 
 
 # pinocchio's objects are not pickled: worker processes build them again
-copyreg.pickle(Robot, lambda robot: (unpickled, (robot.source, robot.files)))
+copyreg.pickle(Robot, lambda robot: (unpickled, (robot.source, robot.files, Code.allowed)))
 
 
 def with_gripper(robot: Robot) -> Robot:
@@ -315,8 +326,12 @@ def _built(source: Mapping[str, Any], free: Sequence[str] = ()) -> Robot:
     }
     body_frames = [frame for frame in model.frames if frame.type == pin.FrameType.BODY]
     standing = {frame.name for frame in body_frames if frame.parentJoint == 0}
+<<<<<<< HEAD
     remarks = bodies.notes
     end_effectors, tool_links = given.end_effectors, tuple[str, ...]()
+=======
+    remarks = urdf.notes + bodies.notes
+>>>>>>> w1
     if given.tool is not None:
         name, line = add_tool(model, given.end_effector, given.tool)
         end_effectors, tool_links, remarks = (name,), given.end_effectors, (*remarks, line)

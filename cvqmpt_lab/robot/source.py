@@ -1,7 +1,6 @@
 """Source of a robot, the field "robot" of a problem file; table of the arms that have a name."""
 
 import hashlib
-import importlib
 import os
 import re
 import stat
@@ -18,6 +17,7 @@ import numpy as np
 
 from cvqmpt_lab.base.codec import from_plain
 from cvqmpt_lab.base.errors import InvalidInputError, UnknownChoiceError, located, mapping, unique
+from cvqmpt_lab.base.modules import installed_module, require_code_allowed
 from cvqmpt_lab.base.poses import Pose
 from cvqmpt_lab.base.values import FloatArray, numbers
 from cvqmpt_lab.robot.robot import FrameLimit
@@ -175,8 +175,15 @@ def read_source(source: Mapping[str, Any]) -> RobotSource:
 def _of_descriptions(given: RobotSource) -> RobotSource:
     """Return the source of rd:NAME, a robot of the package robot_descriptions, with its URDF."""
     name = given.name.removeprefix("rd:")
+    require_code_allowed(
+        f"robot {given.name!r} is made by the package robot_descriptions, which runs and may "
+        "download the robot",
+        "give its URDF, --robot ARM.urdf",
+    )
     try:
-        module = importlib.import_module(f"robot_descriptions.{name}_description")
+        if not name.isidentifier():
+            raise ModuleNotFoundError("its name is no word")
+        module = installed_module("robot_descriptions", f"robot_descriptions.{name}_description")
     except ModuleNotFoundError as error:
         raise InvalidInputError(
             f"robot {given.name!r} is not found ({error}): pip install robot_descriptions; its "
@@ -429,7 +436,8 @@ def find_collision_meshes(
         The absolute paths, one for each mesh, and the links that lost a body.
 
     Raises:
-        InvalidInputError: a mesh is not found, or its unit is not a number; the message names it.
+        InvalidInputError: a mesh is not found or an archive, or its unit is not a number; the
+            message names it.
     """
     found, lost = list[str](), list[str]()
     bodies = [(link, body) for link in root.findall("link") for body in link.findall("collision")]
@@ -448,6 +456,11 @@ def find_collision_meshes(
             link.remove(body)
             lost.append(link.get("name", ""))
             continue
+        with path.open("rb") as file:
+            if file.read(4) == b"PK\3\4":  # its size when it is unpacked has no bound
+                raise InvalidInputError(
+                    f"{urdf.name}: mesh {name!r} is a zip archive; give an STL, OBJ or DAE file"
+                )
         found.append(str(path.resolve()))
         mesh.set("filename", found[-1])
         if path.suffix.lower() == ".dae":

@@ -16,6 +16,7 @@ from pathlib import Path
 
 from cvqmpt_lab.base.errors import (
     InvalidInputError,
+    few,
     located,
     require_choice,
     shown,
@@ -23,6 +24,7 @@ from cvqmpt_lab.base.errors import (
     unique,
 )
 from cvqmpt_lab.base.files import read_xml, xml_root
+from cvqmpt_lab.base.modules import require_code_allowed
 from cvqmpt_lab.base.values import FULL_TURN_RAD, scalar
 from cvqmpt_lab.robot.robot import Follower, HeldJoint
 
@@ -71,6 +73,7 @@ class Urdf:
     links: tuple[str, ...]
     joints: Mapping[str, Joint]  # by name
     included: tuple[str, ...] = ()  # files that a xacro file includes
+    notes: tuple[str, ...] = ()  # what was ignored
 
     def chain(self, link: str) -> list[Joint]:
         """Return the joints from the base to a link, in this order."""
@@ -107,17 +110,17 @@ class Urdf:
 def read_urdf(path: Path, package_dirs: Sequence[Path | str] = ()) -> Urdf:
     """Read a URDF or xacro file; InvalidInputError if it is malformed or no tree of joints.
 
+    xacro expands a file only after `allow_code`; definitions that nothing uses are ignored.
+
     Args:
         path: the file.
         package_dirs: folders of the packages that a xacro file names, or folders that hold them.
     """
     root, included = read_xml(path, "URDF"), tuple[str, ...]()
     invalid = f"{path} does not contain a valid URDF"
-    if any(
-        element.tag.startswith("xacro:") or re.search(r"\$[({]", " ".join(element.attrib.values()))
-        for element in root.iter()
-    ):
-        root, included = _expanded(path, package_dirs)
+    notes = _without_unused_xacro(root, path)
+    if _needs_xacro(root):
+        (root, included), notes = _expanded(path, package_dirs), ()
     if root.tag != "robot":
         raise InvalidInputError(f"{invalid}: its root is <{root.tag}>, not <robot>")
     if not root.get("name"):
@@ -125,13 +128,47 @@ def read_urdf(path: Path, package_dirs: Sequence[Path | str] = ()) -> Urdf:
     links = tuple(link.get("name", "") for link in root.findall("link"))
     joints = [_joint(element, path) for element in root.findall("joint")]
     _check_tree(path.name, links, joints)
-    return Urdf(path, root, links, {joint.name: joint for joint in joints}, included)
+    return Urdf(path, root, links, {joint.name: joint for joint in joints}, included, notes)
+
+
+def _needs_xacro(element: ElementTree.Element) -> bool:
+    """Return whether an element or one inside it belongs to xacro, or has ${...} or $(...)."""
+    return any(
+        part.tag.startswith("xacro:") or re.search(r"\$[({]", " ".join(part.attrib.values()))
+        for part in element.iter()
+    )
+
+
+def _without_unused_xacro(root: ElementTree.Element, path: Path) -> tuple[str, ...]:
+    """Remove definitions of xacro if the rest of the file needs no xacro; return a note on them.
+
+    Nothing uses a property, an argument or a macro in a file without ${...}, $(...) and calls.
+    """
+    definitions = ("xacro:property", "xacro:arg", "xacro:macro")
+    found = [(parent, part) for parent in root.iter() for part in parent if part.tag in definitions]
+    if not found:
+        return ()
+    plain = copy.deepcopy(root)
+    for parent in list(plain.iter()):
+        for part in [part for part in parent if part.tag in definitions]:
+            parent.remove(part)
+    # macros were once called without the prefix
+    called = {part.get("name", "").removeprefix("xacro:") for _, part in found}
+    if _needs_xacro(plain) or any(part.tag in called for part in plain.iter()):
+        return ()
+    root[:] = plain[:]
+    names = [f"<{part.tag} name={shown(part.get('name', ''))}>" for _, part in found]
+    return (f"{path.name}: elements of xacro that nothing uses are ignored: {few(names)}",)
 
 
 def _expanded(
     path: Path, package_dirs: Sequence[Path | str]
 ) -> tuple[ElementTree.Element, tuple[str, ...]]:
     """Return the root of a xacro file, expanded, and the files that it includes."""
+    by_hand = f"expand it by hand: xacro {path.name} > expanded.urdf"
+    require_code_allowed(
+        f"{path} needs xacro, whose expressions can run any command", f"{by_hand}, and give that"
+    )
     try:
         import xacro  # both are optional
         from xacrodoc import packages  # makes xacro find packages without ROS
@@ -148,7 +185,7 @@ def _expanded(
     xacro.all_includes.clear()
     try:
         text = xacro.process_file(str(path)).toxml()
-    except Exception as error:  # a file may evaluate any expression of Python
+    except Exception as error:  # a file evaluates expressions of Python
         said = " ".join(str(getattr(error, "exc", None) or error).split())
         raise InvalidInputError(
             f"cannot expand {path}: {said}; --package-dir names folders of packages; with "

@@ -3,9 +3,11 @@
 What a parser would skip without a word is refused: a body without its origin is elsewhere.
 """
 
+import io
 import math
 import re
 import xml.etree.ElementTree as ElementTree
+import zipfile
 from collections.abc import Callable, Sequence
 from itertools import product
 from pathlib import Path
@@ -205,7 +207,11 @@ def collada_unit(data: bytes) -> float:
     Files with content that coal's or trimesh's readers leave out are refused, too: the body would
     be smaller than it is.
     """
+    if zipfile.is_zipfile(io.BytesIO(data)) or b"\0" in data[:100]:
+        raise InvalidInputError("it is an archive or no UTF-8 text; give the text of the DAE file")
     data = re.sub(rb"(?s)<!--.*?-->", b"", data)
+    if b"<!ENTITY" in data:
+        raise InvalidInputError("it declares entities (<!ENTITY), which could grow; write them out")
     known = set(re.findall(rb"<geometry\b[^>]*?\bid\s*=\s*[\"']([^\"']*)", data))
     for name in re.findall(rb"<instance_geometry\b[^>]*?\burl\s*=\s*[\"']([^\"']*)", data):
         if name[:1] != b"#" or name[1:] not in known:

@@ -4,7 +4,6 @@ Counts in a header are compared with the size of the file before memory of that 
 """
 
 import io
-import math
 import re
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -17,8 +16,10 @@ import numpy as np
 
 from cvqmpt_lab.base.errors import InvalidInputError, shown
 from cvqmpt_lab.base.files import write_bytes
-from cvqmpt_lab.base.readers import kind_of, read_by_suffix
+from cvqmpt_lab.base.readers import kind_of, read_array, read_by_suffix
 from cvqmpt_lab.base.values import FloatArray
+
+MAX_UNPACKED = 2**30  # of the points of a compressed file [bytes]
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,28 +140,6 @@ def check_lengths(
             f"{what}: all of it is within {1e3 * extent:.3g} mm: not in metres? give a scale "
             "(kilometres: 1000)"
         )
-
-
-def read_array(data: bytes) -> np.ndarray:
-    """Return the array of an NPY file of version 1 or 2, read-only.
-
-    Raises:
-        InvalidInputError, ValueError: the file is damaged or has Python objects.
-    """
-    stream = io.BytesIO(data)
-    version = np.lib.format.read_magic(stream)
-    if version not in ((1, 0), (2, 0)):
-        raise InvalidInputError(f"NPY version {version} is not known; write version 1 or 2")
-    read_header = getattr(np.lib.format, f"read_array_header_{version[0]}_0")
-    shape, by_column, kind = read_header(stream)
-    if kind.hasobject:
-        raise InvalidInputError("it holds Python objects, which may run code; write plain numbers")
-    if min(shape, default=0) < 0 or math.prod(shape) * kind.itemsize != len(data) - stream.tell():
-        raise InvalidInputError(
-            f"its header says shape {shape} of {kind}, the file holds another size"
-        )
-    array = np.frombuffer(data, kind, offset=stream.tell())
-    return array.reshape(shape, order="F" if by_column else "C")
 
 
 def _read_npy(data: bytes) -> np.ndarray:
@@ -319,6 +298,11 @@ def _unpacked(body: bytes, row: np.dtype, axes: Sequence[int], count: int) -> np
         raise InvalidInputError(
             f"its header says {count} points of {row.itemsize} bytes, its compressed part "
             f"{unpacked} bytes in {packed} of {len(body) - 8}"
+        )
+    if unpacked > MAX_UNPACKED:
+        raise InvalidInputError(
+            f"its points unpack to {unpacked} bytes, at most {MAX_UNPACKED} are read: give fewer "
+            "points"
         )
     _refuse_more(body[8 + packed :], count)
     raw = lzf.decompress(body[8 : 8 + packed], unpacked) if unpacked else b""

@@ -103,7 +103,8 @@ class Scene(Checked):
             return []
         return [
             f"{self.name}: free only where a camera saw it: {seen} is unseen and counts as free; "
-            "cvqmpt scan --unknown occupied --arm-at Q avoids it"
+            "cvqmpt scan --unknown shadow --arm-at Q makes obstacles of what bodies hide, "
+            "--unknown occupied of all"
         ]
 
     def _check(self) -> None:

@@ -22,6 +22,7 @@ import numpy as np
 
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.base.files import read_bytes, write_bytes
+from cvqmpt_lab.base.readers import read_arrays
 
 DESCRIPTION_FILE = "dataset.json"
 SHARDS_FOLDER = "shards"
@@ -155,8 +156,8 @@ def _arrays(path: Path, names: Iterable[str]) -> dict[str, np.ndarray]:
     """Read arrays of an npz file; InvalidInputError if it is damaged (checksum) or lacks one."""
     data = read_bytes(path)
     try:
-        with np.load(io.BytesIO(data), allow_pickle=False) as file:
-            return {name: file[name] for name in names}
+        found = read_arrays(data)
+        return {name: found[name] for name in names}
     # a damaged archive can raise any exception
     except Exception as error:
         raise InvalidInputError(

@@ -4,11 +4,13 @@ Every tensor is checked. A model of the authors is two folders with three json f
 of tensors. A pickle that would run code is refused.
 """
 
+import contextlib
 import io
 import pickle
 import re
 import tarfile
 import warnings
+import zipfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,7 +21,7 @@ import torch
 from torch import Tensor, nn
 
 from cvqmpt_lab.base.codec import from_plain
-from cvqmpt_lab.base.errors import InvalidInputError
+from cvqmpt_lab.base.errors import InvalidInputError, shown
 from cvqmpt_lab.base.files import read_bytes, read_json_object
 from cvqmpt_lab.vqmpt.config import ModelConfig, TransformerConfig
 from cvqmpt_lab.vqmpt.dictionary import Dictionary
@@ -248,13 +250,19 @@ def read_tensors(path: Path) -> dict[str, Any]:
     """Read a pickle that may hold tensors and plain values, but no code.
 
     Raises:
-        InvalidInputError: the file is missing, empty, truncated, a web page, a tar archive, or a
-            pickle that would run code; the message says which of these.
+        InvalidInputError: the file is missing, empty, truncated, a web page, a tar archive, a
+            compressed archive, or a pickle that would run code; the message says which of these.
     """
     data = read_bytes(path)
     if tarfile.is_tarfile(io.BytesIO(data)):  # torch would unpack it to a folder
         raise InvalidInputError(
             f"{path} is a tar archive, not a torch checkpoint; download it again"
+        )
+    packed = _compressed_record(data)
+    if packed:  # its size when it is unpacked has no bound
+        raise InvalidInputError(
+            f"{path} has compressed records, which torch does not write: {packed}; save it again "
+            "with torch.save"
         )
     # a saved learning rate may be a numpy scalar, by the module path of numpy 1 or of numpy 2
     scalar: Any = np.float64(0.0).__reduce__()[0]
@@ -273,6 +281,15 @@ def read_tensors(path: Path) -> dict[str, Any]:
             f"{path} contains a {type(content).__name__}; expected a dictionary of states"
         )
     return content
+
+
+def _compressed_record(data: bytes) -> str:
+    """Return name and size of the first compressed record of a zip archive; "" without one."""
+    with contextlib.suppress(zipfile.BadZipFile), zipfile.ZipFile(io.BytesIO(data)) as archive:
+        for one in archive.infolist():
+            if one.compress_type != zipfile.ZIP_STORED:
+                return f"{shown(one.filename)} of {one.file_size} bytes"
+    return ""
 
 
 def _refusal(path: Path, beginning: bytes, error: Exception) -> str:

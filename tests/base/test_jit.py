@@ -2,6 +2,7 @@
 
 import gc
 import os
+import re
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
@@ -273,7 +274,8 @@ def shrink(tmp_path):
         done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
         radius, used = done.stdout.splitlines()
         count, place = used.split(" ", 1)
-        warnings = [line for line in done.stderr.splitlines() if "Warning" in line]
+        said = done.stderr.splitlines()
+        warnings = [line for line in said if re.search("Warning|digest", line)]
         return radius, int(count), place, warnings
 
     return run
@@ -319,3 +321,20 @@ def test_damaged_machine_code_is_compiled_anew(tmp_path, shrink):
     assert files and shrink()[0] == whole[0]
     assert all(file.stat().st_size > 1000 for file in tmp_path.rglob("*.nbc"))
     assert shrink()[1] == len(files) // 2
+
+
+@pytest.mark.parametrize("suffix", [".nbi", ".nbc"])
+def test_machine_code_with_a_changed_bit_is_compiled_anew(tmp_path, shrink, suffix):
+    """The process crashed by signal 11, or ended in a traceback of pickle."""
+    whole = shrink()
+    files = list(tmp_path.rglob(f"*{suffix}"))
+    for number, file in enumerate(files):
+        data = bytearray(file.read_bytes())
+        data[(number + 1) * len(data) // (len(files) + 1)] ^= 1 << (number % 8)
+        file.write_bytes(data)
+    radius, _, _, said = shrink()
+    told = [
+        line for line in said if "is damaged (its digest differs): it is compiled again" in line
+    ]
+    assert radius == whole[0] and len(told) == len(files) > 0
+    assert shrink() == whole[:1] + (len(list(tmp_path.rglob("*.nbc"))), *whole[2:])

@@ -12,12 +12,13 @@ import pytest
 from own_constraints import bounded_circle, circle, on_circle
 from refusals import refused
 
+from cvqmpt_lab.base.modules import Code
 from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.certificate.certificate import certify
 from cvqmpt_lab.cli.main import main
 from cvqmpt_lab.constraints.function import FunctionConstraint, torch_constraint
 from cvqmpt_lab.constraints.function_checks import check_function
-from cvqmpt_lab.constraints.function_files import Code, load_function
+from cvqmpt_lab.constraints.function_files import load_function
 from cvqmpt_lab.constraints.region_constraint import RegionConstraint
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.planning.pipeline import solve

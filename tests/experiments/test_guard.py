@@ -5,6 +5,7 @@ import json
 import pytest
 from command_line import refused
 
+from cvqmpt_lab.base.modules import Code
 from cvqmpt_lab.benchmarks.place_task import place_problem
 
 PLANNER = """import numpy as np
@@ -29,12 +30,16 @@ def folder(tmp_path, monkeypatch):
     return folder
 
 
-def test_a_folder_is_green_until_a_planner_or_problem_changes(folder, cvqmpt, capsys):
+def test_a_folder_is_green_until_a_planner_or_problem_changes(folder, cvqmpt, capsys, monkeypatch):
     check = f"check-tables {folder} --jobs 1"
     assert "write it with: cvqmpt check-tables" in refused(capsys, *check.split())
     told = cvqmpt(f"{check} --update --planners birrt,guarded:plan")
     assert "4 runs, 2 solved; expectations written to" in told
-    told = cvqmpt(check)
+    monkeypatch.setattr(Code, "allowed", False)
+    told = refused(capsys, *check.split())
+    assert "names the planner guarded:plan, whose module would run: add --allow-code" in told
+    assert "or name it: --planners birrt,guarded:plan" in told
+    told = cvqmpt(f"{check} --allow-code")
     assert "4 runs compared exactly" in told and "no difference" in told
     assert "t_total_s" not in (folder / "expected.json").read_text()
     folder = folder.rename(folder.parent / "moved")

@@ -3,9 +3,6 @@
 import os
 import pickle
 import struct
-import sys
-from pathlib import Path
-from types import SimpleNamespace
 
 import coal
 import numpy as np
@@ -336,6 +333,13 @@ def test_a_package_is_found_by_the_name_in_its_package_xml(edited, tmp_path, mon
     refused(told, load_robot, inside, "tool")
 
 
+def test_a_mesh_that_is_an_archive_is_refused(edited, tmp_path):
+    """Archives of meshes, such as 3MF, have no bound on their size when they are unpacked."""
+    (tmp_path / "ball.3mf").write_bytes(b"PK\3\4")
+    urdf = edited((SPHERE, '<mesh filename="ball.3mf"/>'))
+    refused("arm.urdf: mesh 'ball.3mf' is a zip archive; give an STL", load_robot, urdf, "tool")
+
+
 def test_xml_is_read_as_programs_of_ros_read_it(edited, slider_arm):
     """A default namespace, prefixes that are not bound and blanks before the declaration."""
     plain = '<robot name="slider_arm">'
@@ -364,35 +368,6 @@ def test_an_srdf_with_elements_of_xacro_is_refused(edited, tmp_path, pairs):
     srdf.write_text(f'<robot name="slider_arm">{pairs}</robot>')
     told = r"arm.srdf has unexpanded elements of xacro, <.*: xacro arm.srdf > expanded.srdf"
     refused(told, load_robot, edited(), "tool", srdf=srdf)
-
-
-def test_a_xacro_file_is_expanded_where_xacrodoc_is_installed(edited, tmp_path, monkeypatch):
-    """The packages beside the file are made known, and a changed included file is noticed."""
-    urdf, macro = edited(("</robot>", "<xacro:tip/></robot>")), tmp_path / "tip.xacro"
-    monkeypatch.setitem(sys.modules, "xacro", None)
-    refused(rf"{urdf.name}.*pip install xacrodoc.*xacro {urdf.name} >", load_robot, urdf, "tool")
-    (tmp_path / "package.xml").write_text("<package><name>arm</name></package>")
-    macro.write_text("<link/>")
-    known, found = {}, [macro]
-
-    def process_file(name):
-        xacro.all_includes += map(str, found)
-        if not found:
-            raise ValueError("package nowhere\nis not found")
-        expanded = Path(name).read_text().replace("<xacro:tip/>", "<!-- no tip -->")
-        return SimpleNamespace(toxml=lambda: expanded)
-
-    xacro = SimpleNamespace(all_includes=["old"], process_file=process_file)
-    packages = SimpleNamespace(update_package_cache=known.update, walk_up_from=lambda path: None)
-    monkeypatch.setitem(sys.modules, "xacro", xacro)
-    monkeypatch.setitem(sys.modules, "xacrodoc", SimpleNamespace(packages=packages))
-    robot = load_robot(urdf, "tool")
-    assert robot.dof == 4 and known[tmp_path.name] == tmp_path
-    assert [path for path, _ in robot.files] == [str(urdf.resolve()), str(macro)]
-    found.clear()
-    refused(
-        r"cannot expand .*: package nowhere is not found; .*NAME:=VALUE", load_robot, urdf, "tool"
-    )
 
 
 def test_options_given_with_the_name_of_an_arm_override_those_of_the_arm():

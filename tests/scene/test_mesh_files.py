@@ -1,5 +1,8 @@
 """Meshes become convex pieces that contain surface and inside, with little free space."""
 
+import io
+import zipfile
+
 import numpy as np
 import pytest
 import trimesh
@@ -121,6 +124,14 @@ def test_a_unit_in_a_comment_of_a_collada_file_is_none(tmp_path):
     np.testing.assert_allclose(np.ptp(read_mesh(tmp_path / "a.dae")[0], axis=0), (0.2, 0.3, 0.4))
 
 
+def zipped(content):
+    """A zip archive with a COLLADA file, which its reader would unpack."""
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w") as archive:
+        archive.writestr("a.dae", content)
+    return file.getvalue()
+
+
 FLAT = b"v 0 0 0\nv .1 0 0\nv 0 .1 0\nv .03 .03 1e-9\nf 1 2 3\nf 1 2 4\n"
 CUBE = box((1, 1, 1)).export(file_type="stl_ascii").encode()
 LOOSE = b"\nfacet normal 0 0 1\nouter loop\n" + 3 * b"vertex 9 9 9\n" + b"endloop\nendfacet\n"
@@ -136,6 +147,11 @@ BAD = {
         in_unit("0.01").replace(b"</node>", b"</node><node><instance_controller/></node>"),
         "skinned or morphed geometry .<instance_controller>.",
     ),
+    "entity.dae": (
+        in_unit("0.01").replace(b"<COLLADA", b'<!DOCTYPE a [<!ENTITY b "c">]><COLLADA', 1),
+        "declares entities",
+    ),
+    "archive.dae": (zipped(in_unit("0.01")), "an archive"),
     "old.obj": (CUBE_OBJ.replace(b"\nf ", b"\nfo ", 1), "its line 'fo .*' has faces and surfaces"),
     "surface.obj": (CUBE_OBJ + b"\nsurf 0 1 0 1 1 2 3 4\n", "its line 'surf 0 1 .*plain triangles"),
     "weight.obj": (CUBE_OBJ.replace(b"\nv ", b"\nv 1 1 1 0.5\nv ", 1), "'v 1 1 1 0.5' has a wei"),

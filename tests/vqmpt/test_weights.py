@@ -3,6 +3,7 @@
 import json
 import os
 import pickle
+import zipfile
 from dataclasses import replace
 
 import numpy as np
@@ -235,6 +236,8 @@ def test_a_pickle_that_would_run_code_is_refused(published, tmp_path, save):
 def test_files_that_are_no_checkpoint_are_refused_with_their_kind(tmp_path):
     torch.save([1], tmp_path / "list")
     os.mkfifo(tmp_path / "fifo")
+    with zipfile.ZipFile(tmp_path / "packed", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("archive/data/0", bytes(10**6))
     for name, content, message in (
         ("tar", b"\0" * 1024, "tar is a tar archive, not a torch checkpoint; download it again"),
         ("zip", b"PK\x03\x04 broken", "zip is not a torch checkpoint, or is truncated"),
@@ -243,6 +246,7 @@ def test_files_that_are_no_checkpoint_are_refused_with_their_kind(tmp_path):
         ("pickle", pickle.dumps({"a": Malicious("ran")}), "pickle is not a torch checkpoint"),
         ("list", None, "contains a list"),
         ("fifo", None, "regular"),
+        ("packed", None, "packed has compressed records, .*: 'archive/data/0' of 1000000 bytes"),
         ("none", None, "No such file"),
     ):
         if content is not None:

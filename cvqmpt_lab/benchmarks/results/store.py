@@ -17,8 +17,9 @@ from typing import Any
 
 import numpy as np
 
-from cvqmpt_lab.base.errors import RunStoreError
+from cvqmpt_lab.base.errors import InvalidInputError, RunStoreError
 from cvqmpt_lab.base.files import locked, make_folder, read_bytes, write_bytes
+from cvqmpt_lab.base.readers import read_arrays
 from cvqmpt_lab.benchmarks.results.provenance import PROVENANCE_FILE, ProvenanceFile
 from cvqmpt_lab.benchmarks.results.row import (
     RUNS_FILE,
@@ -219,9 +220,8 @@ def stored_paths(directory: Path) -> dict[str, np.ndarray]:
     if not path.exists():
         return {}
     try:
-        with np.load(io.BytesIO(read_bytes(path)), allow_pickle=False) as arrays:
-            found = dict(arrays)
-    except DAMAGE_ERRORS as error:
+        found = read_arrays(read_bytes(path))
+    except (*DAMAGE_ERRORS, InvalidInputError) as error:
         raise RunStoreError(f"{path} is damaged: {error}; run again into another folder") from error
     for sha256, states in found.items():
         if states_hash(states) != sha256:

@@ -37,7 +37,7 @@ from cvqmpt_lab.base.errors import (
     unique,
 )
 from cvqmpt_lab.base.files import csv_table, finite, json_value, write_text, yaml_value
-from cvqmpt_lab.base.readers import kind_of, read_by_suffix
+from cvqmpt_lab.base.readers import kind_of, read_arrays, read_by_suffix
 from cvqmpt_lab.base.values import numbers
 from cvqmpt_lab.features.motion.bags import is_bag, message_of_bag
 from cvqmpt_lab.features.motion.ros_messages import joint_trajectory, nanoseconds
@@ -321,10 +321,13 @@ def _decimal(cell: str) -> float:
     return float(cell)
 
 
-def _from_arrays(data: bytes) -> Motion:
-    """Return the motion of an npz file with times ``t`` (k,) and positions ``q`` (k, n)."""
-    found = np.load(io.BytesIO(data), allow_pickle=False)
-    if not isinstance(found, Mapping) or "q" not in found:
+def _from_arrays(data: bytes, most: int = 2**26) -> Motion:
+    """Return the motion of an npz file with times ``t`` (k,) and positions ``q`` (k, n).
+
+    most: largest size of its arrays [bytes], a million states of seven joints.
+    """
+    found = read_arrays(data, most)
+    if "q" not in found:
         raise InvalidInputError(
             "it has no array 'q' of states; save it by np.savez(file, t=t, q=q)"
         )

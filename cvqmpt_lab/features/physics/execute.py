@@ -15,6 +15,7 @@ from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.base.files import finite
 from cvqmpt_lab.base.polyline import nearest_places
 from cvqmpt_lab.certificate.certificate import CERTIFICATE_TOLERANCE
+from cvqmpt_lab.collision.solids import solids
 from cvqmpt_lab.constraints.constraint import Constraint
 from cvqmpt_lab.constraints.task_space_region import UNITS, displacements, excess
 from cvqmpt_lab.features.motion.trajectory import Trajectory
@@ -378,11 +379,12 @@ def _rest(world: Simulation, scene: Scene, loads: Sequence[tuple[Shape, np.ndarr
     for shape, T in loads:
         solid = coal_shape(shape)
         for item in scene.obstacles:
-            other = coal_shape(item.shape), item.T_world_object
-            lowered = shape_distance(solid, T - down, *other)
-            # beside a wall, the distance stays the same
-            if lowered < min(0.0, shape_distance(solid, T, *other) - 0.0025):
-                supports.add(world.obstacles[item.name])
+            parts = solids(item.name, item.shape, item.T_world_object)
+            for geom, (_, *other) in zip(world.obstacles[item.name], parts, strict=True):
+                lowered = shape_distance(solid, T - down, *other)
+                # beside a wall, the distance stays the same
+                if lowered < min(0.0, shape_distance(solid, T, *other) - 0.0025):
+                    supports.add(geom)
     return Rest(loads[0][1][:3, 3], frozenset(supports))
 
 

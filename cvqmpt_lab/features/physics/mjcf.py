@@ -18,8 +18,9 @@ from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.collision.carried import carried_pairs, pairs_of_carried
 from cvqmpt_lab.robot.dynamics import link_inertias
 from cvqmpt_lab.robot.robot import Follower, Robot
+from cvqmpt_lab.scene.cells import blocks_of
 from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
-from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, Shape, Sphere
+from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, Measured, Shape, Sphere
 
 HAND_SITE = "hand"  # name of the site at the end effector
 LOAD_BODY = "load"  # name of the carried body
@@ -63,10 +64,19 @@ class Physics(NamedTuple):
         return 1e-3 / max(1, round(2e-3 / self.contact_time))
 
 
-def bodies_of(robot: Robot, scene: Scene, carried: Sequence[Attachment] = ()) -> list[Body]:
+def bodies_of(
+    robot: Robot, scene: Scene, carried: Sequence[Attachment] = (), measured: bool = False
+) -> list[Body]:
     """Bodies of the robot's pieces in the order of `Robot.links`, of obstacles and of loads.
 
-    Raises InvalidInputError for an obstacle or a load that is no convex solid.
+    Args:
+        robot: the robot.
+        scene: the scene with the obstacles.
+        carried: the loads.
+        measured: whether obstacles may be clouds and maps.
+
+    Raises:
+        InvalidInputError: an obstacle or a load is no convex solid.
     """
     found = [
         Body(f"piece_{k}", piece.link, piece.T_link_geometry, ConvexMesh(piece.vertices))
@@ -74,8 +84,10 @@ def bodies_of(robot: Robot, scene: Scene, carried: Sequence[Attachment] = ()) ->
     ]
     items: list[SceneObject | Attachment] = [*scene.obstacles, *carried]
     for item in items:
+        what = "load" if isinstance(item, Attachment) else "obstacle"
+        if measured and what == "obstacle" and isinstance(item.shape, Measured):
+            continue
         if not isinstance(item.shape, Box | Cylinder | Sphere | ConvexMesh):
-            what = "load" if isinstance(item, Attachment) else "obstacle"
             raise InvalidInputError(
                 f"{what} {item.name!r} is of type {type(item.shape).__name__}: give boxes, "
                 "cylinders, spheres or convex meshes"
@@ -134,7 +146,7 @@ def mjcf_of(robot: Robot, scene: Scene, physics: Physics | None = None) -> str:
         for item in scene.articulation(name).moves
     }
     pieces = len(robot.links)
-    for k, body in enumerate(bodies_of(robot, scene)):
+    for k, body in enumerate(bodies_of(robot, scene, measured=physics is not None)):
         parent, T = links[body.link], body.T_link_body
         bit = ContactBit.ROBOT if k < pieces else ContactBit.FIXED
         door = door_of.get(scene.obstacles[k - pieces].name) if k >= pieces else None
@@ -142,6 +154,10 @@ def mjcf_of(robot: Robot, scene: Scene, physics: Physics | None = None) -> str:
             bit, parent = ContactBit.DOOR, carriers[door]
             T = np.linalg.inv(scene.articulation(door).T_world_joint) @ T
         part = _placed(parent, body.name, T[:3, :3], T[:3, 3])
+        if isinstance(body.shape, Measured):
+            for geom in _add_blocks(part, assets, body):
+                _touching(geom, bit)
+            continue
         geom = _add_shape(part, assets, body)
         if physics is not None:
             density = 600.0 if bit is ContactBit.DOOR else 0.0  # of wood [kg/m^3]
@@ -314,3 +330,34 @@ def _add_shape(part: Element, assets: Element, body: Body) -> Element:
         f"{body.name} is of type {type(body.shape).__name__}: give a box, cylinder, sphere or "
         "convex mesh"
     )
+
+
+def _add_blocks(part: Element, assets: Element, body: Body) -> Iterator[Element]:
+    """Add a geom for each box of a map or cloud, in the order of `blocks_of`, and yield them.
+
+    The padding of the boxes is the margin of their contacts: `Simulation` adds it to the depth. A
+    box with padding is a mesh, because MuJoCo ignores margins between the edges of two boxes.
+    """
+    flat = 1e-4  # half of the least edge of a mesh [m]
+    assert isinstance(body.shape, Measured)
+    low, high, padding = blocks_of(body.shape, np.eye(4))
+    meshes = dict[tuple[float, ...], str]()  # names of meshes by the half edges
+    signs = np.array([*product((-1.0, 1.0), repeat=3)])
+    for centre, half in zip(0.5 * (low + high), 0.5 * (high - low), strict=True):
+        geom = SubElement(part, "geom", pos=numbers_text(centre))
+        yield geom
+        if not half.any():
+            geom.set("type", "sphere")
+            geom.set("size", repr(padding))
+        elif padding == 0.0:
+            geom.set("type", "box")
+            geom.set("size", numbers_text(half))
+        else:
+            edges = tuple(np.maximum(half, flat).round(9).tolist())
+            if edges not in meshes:
+                meshes[edges] = f"{body.name}_block_{len(meshes)}"
+                vertices = numbers_text((signs * edges).ravel())
+                SubElement(assets, "mesh", name=meshes[edges], vertex=vertices, inertia="convex")
+            geom.set("type", "mesh")
+            geom.set("mesh", meshes[edges])
+            geom.set("margin", repr(padding))

@@ -158,11 +158,14 @@ class Simulation:
         self._opens = np.array([opening_sign(robot, *finger) for finger in others.items()])
         # numbers of geoms: piece, obstacle and load may share a name
         pieces = [model.geom(f"piece_{k}_geom").id for k in range(len(robot.links))]
-        fixed = [model.geom(f"obstacle_{k}_geom").id for k in range(len(scene.obstacles))]
         self._pieces = {item.name: k for item, k in zip(robot.links, pieces, strict=True)}
-        self.obstacles = {item.name: k for item, k in zip(scene.obstacles, fixed, strict=True)}
-        self.loads = frozenset(range(model.ngeom)).difference(pieces, fixed)
-        labels = {k: name for names in (self._pieces, self.obstacles) for name, k in names.items()}
+        # a solid has one geom, a map or cloud one for each box
+        self.obstacles = {
+            item.name: _geoms(model.body(f"obstacle_{k}")) for k, item in enumerate(scene.obstacles)
+        }
+        self.loads = frozenset(range(model.ngeom)).difference(pieces, *self.obstacles.values())
+        labels = {k: name for name, k in self._pieces.items()}
+        labels |= {k: name for name, geoms in self.obstacles.items() for k in geoms}
         self.names = [labels.get(k, LOAD_BODY) for k in range(model.ngeom)]
         moving = [model.joint(name).qposadr[0] for name in arm.moving_joints]
         data.qpos[moving] = arm.kinematics.joint_values(q)
@@ -230,7 +233,8 @@ class Simulation:
         self.mujoco.mj_step(self.model, data, nstep=round(CONTROL_PERIOD_S / self.physics.step))
         self.errors.append(float(np.abs(data.qpos[self._q] - wanted.positions).max()))
         self._lifted = self._lifted or not self._is_at(0)
-        for geoms, depth in zip(data.contact.geom.tolist(), -data.contact.dist, strict=True):
+        depths = data.contact.includemargin - data.contact.dist
+        for geoms, depth in zip(data.contact.geom.tolist(), depths, strict=True):
             self._touch(frozenset(geoms), float(depth))
         if self._periods % 10 == 0:
             self.samples.append(
@@ -240,7 +244,7 @@ class Simulation:
 
     def allow(self, hand: Iterable[str], held: Iterable[str] | None) -> None:
         """Let pieces of the hand touch these obstacles alone, or the load if `held` is None."""
-        touched = self.loads if held is None else [self.obstacles[name] for name in held]
+        touched = self.loads if held is None else [k for name in held for k in self.obstacles[name]]
         self.allowed = {frozenset((self._pieces[name], k)) for name in hand for k in touched}
 
     def _is_at(self, which: int) -> bool:
@@ -263,6 +267,12 @@ class Simulation:
         pair = min(names := [self.names[k] for k in geoms]), max(names)
         if pair not in self.touched or depth > self.touched[pair].depth_m:
             self.touched[pair] = Contact(*pair, depth, self.data.time)
+
+
+def _geoms(body: Any) -> range:
+    """Return the numbers of the geoms of a body of a model."""
+    first = int(body.geomadr[0])
+    return range(first, first + int(body.geomnum[0]))
 
 
 def _fingers(arm: Robot, robot: Robot) -> Mapping[str, Follower | None]:

@@ -9,7 +9,8 @@ import numpy as np
 
 from cvqmpt_lab.base.codec import from_plain
 from cvqmpt_lab.base.errors import InvalidInputError
-from cvqmpt_lab.features.scan.depth import read_capture
+from cvqmpt_lab.features.scan.depth import has_millimetres, read_capture
+from cvqmpt_lab.features.scan.depth_forms import other_units
 from cvqmpt_lab.features.scan.scan import (
     MAP_RESOLUTION_M,
     Arm,
@@ -69,6 +70,24 @@ def captures_of(
                 "frame?"
             )
     return captures
+
+
+def unit_hint(files: Sequence[Path], captures: Sequence[Cloud], scale: float | None) -> str:
+    """Return which --scale would bring images in millimetres nearer, in words; "": none is far.
+
+    Args:
+        files: clouds and depth images.
+        captures: their points, in the same order.
+        scale: length of a unit that was given [m]; None: images of whole numbers are in mm.
+    """
+    if scale is not None:
+        return ""
+    for file, capture in zip(files, captures, strict=True):
+        units = other_units(capture.points[:, 2])
+        if units and has_millimetres(file):
+            middle = float(np.median(capture.points[:, 2]))
+            return f"{file} is {middle:.3g} m deep if its units are 1 mm; else give {units}"
+    return ""
 
 
 def scan_of_clouds(files: Sequence[Path], arm: Arm) -> Scan:

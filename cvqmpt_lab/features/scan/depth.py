@@ -5,7 +5,7 @@ Intrinsics and extrinsics are JSON or YAML files.
 
 import io
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -23,13 +23,20 @@ from cvqmpt_lab.base.errors import (
 )
 from cvqmpt_lab.base.files import json_value, write_bytes, write_text, yaml_value
 from cvqmpt_lab.base.poses import Placement, Pose, PoseForm, rigid, ros_vector
-from cvqmpt_lab.base.readers import read_by_suffix
+from cvqmpt_lab.base.readers import read_array, read_by_suffix
 from cvqmpt_lab.base.values import Array, FloatArray
+<<<<<<< HEAD
+from cvqmpt_lab.features.scan.depth_forms import refuse_buffer
 from cvqmpt_lab.scene.cloud_files import Cloud, check_lengths, read_array, read_cloud
+=======
+from cvqmpt_lab.scene.cloud_files import Cloud, check_lengths, read_cloud
+>>>>>>> w1
 from cvqmpt_lab.scene.scene import log, refuse_far_poses
 from cvqmpt_lab.sensing.camera import Intrinsics, View
 
+FARTHEST_DEPTH_M = 30.0  # of half of an image in millimetres
 NO_DEPTH = 2**16 - 1  # in images of 16 bits, as 0
+MAX_PIXELS = 2**24  # of an image; its points then take 400 MB
 
 
 def read_capture(
@@ -63,6 +70,13 @@ def read_capture(
         raise InvalidInputError(
             f"depth image {path} has no depth: every pixel is 0, 65535 or not finite"
         )
+    middle = float(np.median(points[:, 2]))
+    if scale is None and middle > FARTHEST_DEPTH_M and has_millimetres(path):
+        raise InvalidInputError(
+            f"depth image {path} is {middle:.3g} m deep if its units are 1 mm; give --scale, the "
+            "length of a unit (0.0001: 0.1 mm) [m]; if it is a renderer's depth buffer, convert it "
+            "to depth"
+        )
     check_lengths(points, f"depth image {path}")
     return Cloud(points, len(pixels) - len(points), T)
 
@@ -72,10 +86,17 @@ def read_depth(path: Path | str, lens: Intrinsics, scale: float | None = None) -
 
     No depth: 0, values that are not finite, and the largest value of 16 bits, 65535.
 
-    scale: length of a unit in the file [m]; None: 1 mm for integers, 1 m for floats.
+    Args:
+        path: PNG or NPY file.
+        lens: intrinsics of the image.
+        scale: length of a unit in the file [m]; None: 1 mm for integers, 1 m for floats, which are
+            refused if they are probably the depth buffer of a renderer.
     """
     readers = {".png": _read_png, ".npy": _read_npy}
     image = read_by_suffix(readers, path, "depth image", lens)
+    if scale is None and image.dtype.kind == "f":
+        with located(f"depth image {path}"):
+            refuse_buffer(image)
     unit = (0.001 if image.dtype.kind in "iu" else 1.0) if scale is None else scale
     with np.errstate(over="ignore", invalid="ignore"):
         depth = unit * image.astype(np.float64)
@@ -84,6 +105,14 @@ def read_depth(path: Path | str, lens: Intrinsics, scale: float | None = None) -
         # many cameras write it where they measured nothing; a ray to it would free unknown space
         depth[image == NO_DEPTH] = np.nan
     return depth
+
+
+def has_millimetres(path: Path) -> bool:
+    """Whether a file that was read is an image of whole numbers, by default in millimetres."""
+    if path.suffix.lower() == ".npy":
+        image = np.load(path, mmap_mode="r")
+        return image.ndim == 2 and image.dtype.kind in "iu"
+    return path.suffix.lower() == ".png"
 
 
 def deprojected(depth: FloatArray, lens: Intrinsics) -> FloatArray:
@@ -124,6 +153,11 @@ def _read_png(data: bytes, lens: Intrinsics) -> np.ndarray:
                 f"it is a picture of mode {image.mode}, without depth: give a 16-bit depth image"
             )
         _check_size((image.height, image.width), lens)
+        if image.width * image.height > MAX_PIXELS:
+            raise InvalidInputError(
+                f"it has {image.width} x {image.height} pixels, at most {MAX_PIXELS} are read: "
+                "give a smaller image, with its intrinsics"
+            )
         # PNG compresses at most by a factor of 1100
         if image.width * image.height * 2 > 1100 * len(data):
             raise InvalidInputError(
@@ -287,6 +321,14 @@ def read_extrinsics(
             )
         refuse_far_poses({"its camera": T}, farthest)
     return T
+
+
+def has_bare_quaternion(path: Path | str) -> bool:
+    """Whether a file for `read_extrinsics` has a quaternion as four numbers without names."""
+    data = _read_settings(path, "extrinsics")
+    if isinstance(data, Mapping):
+        data = data.get("T_world_camera", data)
+    return isinstance(data, Mapping) and isinstance(data.get("quaternion"), Sequence)
 
 
 def _rigid(data: Any) -> Any:

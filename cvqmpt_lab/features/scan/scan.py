@@ -14,6 +14,7 @@ from cvqmpt_lab.base.codec import Checked
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.base.values import FloatArray, Length, Padding
 from cvqmpt_lab.collision.exact import CollisionChecker
+from cvqmpt_lab.features.scan.camera_pose import has_pose
 from cvqmpt_lab.features.scan.plane import (
     SupportingPlane,
     box_around,
@@ -22,6 +23,7 @@ from cvqmpt_lab.features.scan.plane import (
     supporting_plane,
     table_below,
 )
+from cvqmpt_lab.features.scan.shadow import in_shadow
 from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.cells import distinct, map_of_points
@@ -197,6 +199,17 @@ def near_robot(points: FloatArray, robot: Robot, q: FloatArray, margin: float) -
     return near
 
 
+def without_arm(captures: Sequence[Cloud], arm: Arm | None, margin: float) -> list[Cloud]:
+    """Return captures without the points within a margin [m] of the arm; None: all points."""
+    if arm is None:
+        return [*captures]
+    near = [near_robot(capture.in_world, *arm, margin) for capture in captures]
+    return [
+        replace(capture, points=capture.points[~its])
+        for capture, its in zip(captures, near, strict=True)
+    ]
+
+
 def outliers(points: FloatArray, radius: float, neighbours: int) -> np.ndarray:
     """Return a mask (m,) of points (m, 3) [m] with fewer than `neighbours` others within radius."""
     from scipy.spatial import cKDTree  # takes 0.3 s to import
@@ -219,7 +232,9 @@ class MapSettings:
 
     resolution: float = MAP_RESOLUTION_M  # edge of the cells [m]
     padding: float = 0.0  # distance by which cells are inflated [m]
-    unknown: Literal["free", "occupied"] = "free"  # cells that no ray crossed; MoveIt: free
+    # cells that no ray crossed: free (as in MoveIt), all occupied, or only those behind a measured
+    # point that is not the arm's
+    unknown: Literal["free", "shadow", "occupied"] = "free"
     # region of unknown cells: a box with these corners [m, robot base frame]
     lower: tuple[float, float, float] = (-1.2, -1.2, -0.4)
     upper: tuple[float, float, float] = (1.2, 1.2, 1.4)
@@ -245,25 +260,40 @@ def occupancy_map(
     Args:
         points: (m, 3) [m, robot base frame].
         settings: settings of the map.
-        captures: all captures of the sensors, used if unknown cells are occupied: cells between a
-            sensor and its points are known.
+        captures: all captures of the sensors, used if unknown cells are occupied or in shadows:
+            cells between a sensor and its points are known.
         arm: the robot during the scan; cells around it, and all that it stands in, are known.
 
     Raises:
-        InvalidInputError: no cell is occupied; unknown cells without captures; too many cells.
+        InvalidInputError: no cell is occupied; unknown cells without captures or without the pose
+            of a camera; too many cells.
     """
-    if settings.unknown == "occupied":
+    if settings.unknown != "free":
         # from a cell's middle to its farthest corner, and 5 mm for the margin of planning
         across = 0.5 * np.sqrt(3.0) * settings.resolution + settings.padding + 0.005
         spared = replace(settings, robot_margin=max(settings.robot_margin, across))
-        points = np.concatenate([points, _unknown(spared, captures, arm)])
+        unknown = _unknown(spared, captures, arm)
+        if not all(has_pose(capture) for capture in captures):
+            raise InvalidInputError(
+                f"unknown cells are to be {settings.unknown}, but a capture has no camera's pose, "
+                "so that nobody knows what it saw: give the pose (--extrinsics or --level), or "
+                "leave unknown cells free"
+            )
+        if settings.unknown == "shadow":
+            hiding = without_arm(captures, arm, settings.robot_margin)
+            unknown = unknown[in_shadow(unknown, hiding, settings.resolution)]
+        points = np.concatenate([points, unknown])
     if len(points) == 0:
         raise InvalidInputError("no point is left for a map; crop less, or plan without a map")
     return map_of_points(points, settings.resolution, settings.padding)
 
 
 def unseen_share(
-    captures: Sequence[Cloud], reach: float, arm: Arm | None = None, coarse: float = 0.05
+    captures: Sequence[Cloud],
+    reach: float,
+    arm: Arm | None = None,
+    coarse: float = 0.05,
+    shadows: MapSettings | None = None,
 ) -> float:
     """Return the share of a ball of an arm's reach that no ray crossed; 1.0 without camera poses.
 
@@ -272,14 +302,20 @@ def unseen_share(
         reach: radius of the ball around the robot's base [m].
         arm: the robot during the scan; the space inside it is known.
         coarse: edge of the cells that are counted [m].
+        shadows: a map whose cells in shadows are occupied: they do not count.
     """
-    if all(np.array_equal(capture.T_world_camera, np.eye(4)) for capture in captures):
+    captures = [capture for capture in captures if has_pose(capture)]
+    if not captures:
         return 1.0  # the points are in the base frame, and nobody knows from where they were seen
     edge = max(coarse, reach / 40.0)
     box = (-reach,) * 3, (reach,) * 3
     places = _unknown(MapSettings(resolution=edge, lower=box[0], upper=box[1]), captures, arm)
-    hidden = int((np.linalg.norm(places, axis=1) <= reach).sum())
-    return min(hidden * edge**3 / (4.0 / 3.0 * np.pi * reach**3), 1.0)
+    places = places[np.linalg.norm(places, axis=1) <= reach]
+    if shadows is not None:
+        inside = ((places >= shadows.lower) & (places <= shadows.upper)).all(axis=1)
+        hiding = without_arm(captures, arm, shadows.robot_margin)
+        places = places[~(inside & in_shadow(places, hiding, edge))]
+    return min(len(places) * edge**3 / (4.0 / 3.0 * np.pi * reach**3), 1.0)
 
 
 def _unknown(

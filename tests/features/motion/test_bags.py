@@ -1,10 +1,16 @@
 """Motions in recordings: an MCAP file is written with a message of ROS 2, and read again."""
 
+import lz4.frame
 import numpy as np
 import pytest
+import zstandard
+from mcap.data_stream import RecordBuilder
+from mcap.records import Chunk, Header
+from mcap.writer import MCAP0_MAGIC
 from mcap_ros2.writer import Writer
 from refusals import refused
 
+from cvqmpt_lab.features.motion import bags
 from cvqmpt_lab.features.motion.trajectory import read_motion
 
 LINE = "=" * 80
@@ -86,3 +92,23 @@ def test_what_is_no_recording_is_one_line(tmp_path):
     (tmp_path / "bag" / "metadata.yaml").write_text("")
     refused("has no .mcap file", read_motion, tmp_path / "bag")
     refused("topic '/plan' belongs to a recording", read_motion, tmp_path / "a.csv", "/plan")
+
+
+@pytest.mark.parametrize("compression", ["zstd", "lz4", ""])
+def test_a_chunk_larger_than_the_bound_is_refused_before_it_is_unpacked(
+    tmp_path, monkeypatch, compression
+):
+    """The index of the recording and its header of the chunk state a small size."""
+    content = b"\0" * 3_000_000
+    packed = {"zstd": zstandard.compress, "lz4": lz4.frame.compress, "": bytes}[compression]
+    chunk = Chunk(compression, packed(content), 0, 0, 0, len(content) if not compression else 9)
+    told = r"bag.mcap: a chunk of it unpacks to \d+ bytes or more, at most 1000000 are read"
+    path = tmp_path / "bag.mcap"
+    with path.open("wb") as stream:
+        writer = RecordBuilder()
+        Header(profile="ros2", library="").write(writer)
+        chunk.write(writer)
+        stream.write(MCAP0_MAGIC + writer.end())
+    monkeypatch.setattr(bags, "MAX_CHUNK", 10**6)
+    monkeypatch.setattr(zstandard, "decompress", lambda *_: pytest.fail("unpacked"))
+    refused(told, bags.message_of_bag, path)

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
+from command_line import SCAN_START
 from command_line import refused as command_refused
 from refusals import refused
 from small_arms import box, joint
@@ -13,6 +14,7 @@ from small_arms import box, joint
 from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.benchmarks.results.row import RUNS_FILE, FailReason, read_rows
 from cvqmpt_lab.benchmarks.suite import suite_named
+from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.experiments import executed
 from cvqmpt_lab.experiments.experiment import Experiment
 from cvqmpt_lab.experiments.run import executor_for, failed_rows, outcome_of, run_experiment
@@ -21,14 +23,15 @@ from cvqmpt_lab.features.motion.trajectory import save_trajectory
 from cvqmpt_lab.features.physics import execute
 from cvqmpt_lab.features.physics.execute import Outcome, agreed, execute_motion, execute_task
 from cvqmpt_lab.features.physics.mjcf import ARMATURE, HAND_SITE, Physics, mjcf_of
-from cvqmpt_lab.features.physics.simulation import Controller
+from cvqmpt_lab.features.physics.simulation import Controller, Simulation
 from cvqmpt_lab.features.plan import Request, plan
 from cvqmpt_lab.features.tasks.task import Release
 from cvqmpt_lab.paper_tables.committed import RESULTS
 from cvqmpt_lab.robot.load import load_robot, robot_from_source, with_gripper
 from cvqmpt_lab.robot.robot import Follower
+from cvqmpt_lab.scene.cells import map_of_points
 from cvqmpt_lab.scene.scene import Scene, SceneObject
-from cvqmpt_lab.scene.shapes import Box, PointCloud
+from cvqmpt_lab.scene.shapes import Box, OccupancyMap, PointCloud
 from cvqmpt_lab.search.result import Budget, JointPath
 
 mujoco = pytest.importorskip("mujoco")
@@ -134,16 +137,45 @@ def test_motions_that_cannot_be_executed_are_refused(carrying, panda, task):
     for k in range(1, 8):
         massless.model.inertias[k] = pin.Inertia.Zero()
     refused("cannot be executed: efforts not limited", Controller, "computed-torque", massless)
-    points = np.zeros((1, 3))
-    cloud = SceneObject("scan", PointCloud(points, 0.01), pose((2.0, 0.0, 0.0)))
-    sensed = replace(problem, scene=problem.scene.with_objects(cloud))
-    told = "obstacle 'scan' is of type PointCloud"
-    refused(told, execute_motion, sensed, motion, "position-servo")
     weightless = replace(problem, attachments=(replace(problem.attachments[0], mass=None),))
     how = {"controller": "computed-torque", "friction": True}
     refused("has no mass", execute_motion, weightless, motion, **how)
     other = replace(motion, joint_names=tuple("abcdefg"))
     refused("the motion is of joints a, b", execute_motion, problem, other, "computed-torque")
+
+
+SHELL = np.random.default_rng(4).uniform((0.2, -0.6, 0.0), (0.6, 0.6, 0.9), (1500, 3))
+MEASURED = {
+    "map": map_of_points(SHELL, 0.05),
+    "map with padding": map_of_points(SHELL[:200], 0.05, 0.03),
+    "small cloud": PointCloud(SHELL[:300], 0.03),
+    "large cloud": PointCloud(SHELL, 0.02),
+}
+
+
+@pytest.mark.parametrize("name", MEASURED)
+def test_scanned_obstacles_touch_the_simulated_arm_where_planning_finds_collisions(panda, name):
+    """They were refused, so that no scanned scene could be executed."""
+    scene = Scene("s", (SceneObject("scan", MEASURED[name], pose((0.1, 0.0, 0.1), 0.3)),))
+    control, checker = Controller("computed-torque", panda), CollisionChecker(panda, scene)
+    states = panda.random_configurations(np.random.default_rng(0), 40)
+    world = Simulation(panda, scene, states[0], control, Physics(0.004), False)
+    touching = 0
+    for q in states:
+        if "scan" not in str(pair := checker.colliding_pair(q)) and pair is not None:
+            continue  # links touch each other, which is not the question
+        world.data.qpos[world._q] = q
+        mujoco.mj_forward(world.model, world.data)
+        found = world.data.contact
+        depths = found.includemargin - found.dist
+        geoms = {*world.obstacles["scan"]}
+        deepest = max(
+            (d for d, g in zip(depths, found.geom.tolist(), strict=True) if geoms & {*g}),
+            default=-1.0,
+        )
+        assert abs(deepest) < 2e-4 or (deepest > 0.0) == (pair is not None)
+        touching += deepest > 0.0
+    assert 3 < touching < 37
 
 
 def test_an_arm_without_fingers_on_sliders_cannot_hold_by_friction(carrying):
@@ -229,6 +261,35 @@ def test_execute_reports_and_answers_json(cvqmpt, tmp_path):
     told = json.loads(cvqmpt(f"{words} --json --contact-time 0.002"))
     assert told["outcome"] == "executed as planned"
     assert told["executions"][0]["contact_time"] == 0.002
+
+
+def test_a_load_rests_on_the_boxes_of_a_map_below_it_alone(panda):
+    floor = [(i, j, 0) for i in range(-5, 5) for j in range(-5, 5)]
+    cells = np.array([*floor, *((2, j, k) for j in range(-5, 5) for k in range(1, 6))])
+    scan = SceneObject("scan", OccupancyMap(cells, 0.02), pose((0.5, 0.0, 0.2)))
+    scene, q = Scene("s", (scan,)), 0.5 * (panda.lower + panda.upper)
+    world = Simulation(panda, scene, q, Controller("position-servo", panda), Physics(0.004), False)
+    load = Box((0.06, 0.06, 0.06)), pose((0.509, 0.0, 0.251))  # 1 mm from floor and wall
+    (support,) = execute._rest(world, scene, [load]).supports
+    assert len(world.obstacles["scan"]) == 3 and world.names[support] == "scan"
+    assert world.model.geom_pos[support][2] == pytest.approx(0.01)
+
+
+def test_a_scan_with_shadows_is_planned_in_and_executed(scan_folder, tmp_path, cvqmpt):
+    """The story of a depth image broke at its last command. The arm's own shadow is free."""
+    camera = ["--intrinsics", scan_folder / "depth.intrinsics.json"]
+    camera += ["--extrinsics", scan_folder / "depth.extrinsics.json"]
+    words = [*camera, "--arm-at", SCAN_START, "--plane", "box", "--unknown", "shadow"]
+    cvqmpt("scan", scan_folder / "depth.png", *words, "--out", tmp_path / "scene.json")
+    start = [float(x) for x in SCAN_START.split(",")]
+    problem = {"schema": "cvqmpt-problem/1", "name": "scanned", "robot": {"name": "panda"}}
+    problem |= {"scene": "scene.json", "constraint": [], "start": start}
+    problem["goals"] = [[start[0] - 0.2, *start[1:]]]
+    (tmp_path / "p.json").write_text(json.dumps(problem))
+    cvqmpt("plan", tmp_path / "p.json", "--trajectory", tmp_path / "m.json", "--optimize", 0)
+    words = ["--motion", tmp_path / "m.json", "--contact-time", "0.004"]
+    told = cvqmpt("execute", tmp_path / "p.json", *words)
+    assert "outcome     executed as planned" in told
 
 
 @pytest.mark.parametrize("time", ["1e-7", "0.5"])

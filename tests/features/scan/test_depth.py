@@ -8,6 +8,7 @@ import pytest
 from PIL import Image
 from refusals import refused
 
+from cvqmpt_lab.features.scan import depth
 from cvqmpt_lab.features.scan.depth import deprojected, read_capture, read_depth, write_depth
 from cvqmpt_lab.sensing.camera import Intrinsics
 
@@ -67,6 +68,12 @@ def lying_png(path):
         for content in (b"IHDR" + body, b"IDAT" + zlib.compress(bytes(100)), b"IEND"):
             file.write(struct.pack(">I", len(content) - 4) + content)
             file.write(struct.pack(">I", zlib.crc32(content)))
+
+
+def test_an_image_of_more_pixels_than_the_bound_is_refused(files, monkeypatch):
+    monkeypatch.setattr(depth, "MAX_PIXELS", 1000)
+    told = "it has 200 x 160 pixels, at most 1000 are read"
+    refused(told, read_capture, files.depth, files.intrinsics)
 
 
 def cut(path):

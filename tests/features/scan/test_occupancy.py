@@ -3,10 +3,12 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
+from refusals import refused
 
 from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.collision.exact import CollisionChecker
-from cvqmpt_lab.features.scan.scan import Arm, MapSettings, occupancy_map
+from cvqmpt_lab.features.scan.scan import Arm, MapSettings, occupancy_map, unseen_share
 from cvqmpt_lab.scene.cloud_files import Cloud
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 
@@ -65,3 +67,64 @@ def test_rays_cross_the_cells_of_fine_samples_along_them():
     box = np.prod(np.round(np.subtract(ROOM.upper, ROOM.lower) / 0.02))
     few = len(np.unique(np.floor(walked[inside] / 0.02), axis=0))
     assert 0.97 * few <= box - len(scanned.cells) <= 1.1 * few
+
+
+def test_only_what_a_measured_body_hides_is_in_the_shadow(panda):
+    """A plate at x = 0.2: behind it is the shadow; beside it, where no ray went, all stays free."""
+    plate = grid(0.01, 0.2, half=0.15, height=0.3)
+    seen, shadow = [sight(EYE, plate)], replace(ROOM, unknown="shadow")
+    scanned = occupancy_map(plate, shadow, seen)
+    before, on, behind = (0.0, 0.0, 0.2), (0.205, 0.0, 0.1), (0.6, 0.0, 0.1)
+    beside, above = (0.3, 0.4, 0.1), (0.5, 0.0, 0.7)
+    assert occupied(scanned, [before, on, behind, beside, above]) == [
+        False,
+        True,
+        True,
+        False,
+        False,
+    ]
+    everything = occupancy_map(plate, ROOM, seen)
+    assert {*map(tuple, scanned.cells)} < {*map(tuple, everything.cells)}
+    centres = scanned.centres[~(np.abs(scanned.centres[:, 0] - 0.21) < 1e-6)]
+    met = EYE + (centres - EYE) * ((0.2 - EYE[0]) / (centres[:, :1] - EYE[0]))
+    assert (np.abs(met[:, 1]) < 0.17).all() and (met[:, 2] < 0.33).all(), "on rays of the plate"
+    small = occupancy_map(plate, replace(shadow, upper=(0.4, 0.5, 0.8)), seen)
+    assert small.centres[:, 0].max() < 0.4 and occupied(small, [(0.3, 0.0, 0.1)]) == [True]
+    q = np.array([0.0, 0.9, 0.0, -1.9, 0.0, 2.8, 0.8])
+    hand = panda.pose(q)[:3, 3]
+    assert occupied(scanned, [hand]) == [True]
+    spared = occupancy_map(plate, shadow, seen, Arm(panda, q))
+    assert occupied(spared, [hand, on]) == [False, True]
+    obstacle = Scene("map", (SceneObject("map", spared, np.eye(4)),))
+    assert not CollisionChecker(panda, obstacle).in_collision(q)
+
+
+def test_a_shadow_of_another_camera_is_free_where_one_looks_behind():
+    plate = grid(0.01, 0.2, half=0.15, height=0.3)
+    other = np.array([1.6, 0.05, 0.45])
+    shadow = replace(ROOM, unknown="shadow")
+    two = occupancy_map(plate, shadow, [sight(EYE, plate), sight(other, plate)])
+    one = occupancy_map(plate, shadow, [sight(EYE, plate)])
+    behind, on = (0.6, 0.0, 0.2), (0.205, 0.0, 0.1)
+    assert occupied(one, [behind, on]) == [True, True]
+    assert occupied(two, [behind, on]) == [False, True]
+
+
+@pytest.mark.parametrize("unknown", ["shadow", "occupied"])
+def test_what_a_camera_at_an_unknown_place_did_not_see_is_not_guessed(unknown):
+    """Rays from the robot's base freed cells that nobody had seen."""
+    plate = grid(0.01, 0.2)
+    told = refused(
+        "no camera's pose", occupancy_map, plate, replace(ROOM, unknown=unknown), [Cloud(plate)]
+    )
+    assert f"unknown cells are to be {unknown}" in told and "--extrinsics or --level" in told
+
+
+def test_shadows_do_not_count_as_free():
+    plate = grid(0.01, 0.2)
+    seen, shadow = (
+        [sight(EYE, plate)],
+        replace(ROOM, unknown="shadow", lower=(-1.0,) * 3, upper=(1.0,) * 3),
+    )
+    unseen = unseen_share(seen, 1.0)
+    assert 0.05 < unseen - unseen_share(seen, 1.0, shadows=shadow) < 0.5
