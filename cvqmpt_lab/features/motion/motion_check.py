@@ -6,10 +6,10 @@ where it is a cubic; without accelerations it is not judged: between cubics they
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,9 +19,9 @@ from cvqmpt_lab.base.values import FULL_TURN_RAD
 from cvqmpt_lab.certificate.certificate import Certificate, Fault, FaultKind, certify
 from cvqmpt_lab.collision.carried import reach_with
 from cvqmpt_lab.collision.exact import checker_of
+from cvqmpt_lab.features.motion.checked_curves import DryRun, worst_of
 from cvqmpt_lab.features.motion.frame_speeds import FrameSpeeds
 from cvqmpt_lab.features.motion.limit_use import (
-    LIMIT_OVERSHOOT,
     Ends,
     LimitUse,
     effort_uses,
@@ -44,26 +44,8 @@ if TYPE_CHECKING:
 
 # largest distance of a joint from the straight pieces that are certified in its place [rad or m]
 CURVE_TOLERANCE = 1e-6
-
-
-class DryRun(NamedTuple):
-    """Certificate of a path or trajectory, with the faults of velocities, efforts and the like."""
-
-    certificate: Certificate  # places of faults are numbers of `states`
-    # (m, n) the certified states; of a trajectory, within CURVE_TOLERANCE of it [rad or m]
-    states: np.ndarray
-    # (m,) of the states, counted as those of the motion [s]; None for a path
-    times: np.ndarray | None = None
-    # largest distance of the robot's points from those on straight pieces between the states
-    deviation_m: float = 0.0
-    # "cubic", "quintic", "spline" or "linear", the worse one of those checked; "" for a path
-    curve: str = ""
-    uses: tuple[LimitUse, ...] = ()  # of the limits, on that curve
-
-    @property
-    def limits_alone(self) -> bool:
-        """Whether all faults are exceeded limits of rates and efforts, which slowing may cure."""
-        return all(fault.kind in LIMIT_OVERSHOOT for fault in self.certificate.faults)
+# function of states (m, n), straight motions between them: faults, whose places count these states
+StateFaults = Callable[[np.ndarray], Iterable[Fault]]
 
 
 def certified_motion(
@@ -126,14 +108,16 @@ def dry_run(
     motion: Motion,
     ends: Ends | None = None,
     exact_clearance: bool = False,
+    more_faults: StateFaults | None = None,
 ) -> DryRun:
-    """Check a path or trajectory before it is sent to an arm.
+    """Check a path or trajectory before it is sent to an arm: every curve that it stands for.
 
     Args:
         problem: start, goals, constraint, robot and scene.
         motion: the path or trajectory.
         ends: begin and end of the motion; None: at rest, at the start and at a goal.
         exact_clearance: as in `certify`.
+        more_faults: further faults of the states of every curve; None: there are none.
 
     Raises InvalidInputError for joints of another robot, positions in degrees, and times that do
     not increase.
@@ -153,6 +137,8 @@ def dry_run(
     )
     if motion.times is None or not usable:
         certificate = certify(problem, JointPath(states), exact_clearance=exact_clearance)
+        if usable and more_faults:
+            faults += more_faults(states)
         return DryRun(_with_faults(certificate, faults, ends), states)
     # a hinge moves points by at most the diameter times dq, a slider by dq [m]
     deviation_m = (
@@ -173,15 +159,15 @@ def dry_run(
         uses, missing = _uses(problem, motion, name, curve)
         own = [*missing, *(use.fault(times) for use in uses if use.exceeded)]
         own += rest_faults(name, curve, robot, len(times) - 1.0, ends)
+        if more_faults:
+            own += more_faults(states)
         checked = _with_faults(certificate, [*own, *faults], ends)
         uses = (*position_use(robot, states, times), *uses)
         # curves begin at 0, the times of a motion may begin later
         begin = float(motion.times[0])
         uses = tuple(use._replace(time=begin + use.time) for use in uses)
         runs.append(DryRun(checked, states, begin + times, deviation_m, name, uses))
-        if checked.faults:
-            return runs[-1]
-    return min(runs, key=lambda run: (run.certificate.valid, _least(run.certificate)))
+    return worst_of(runs)
 
 
 def speed_within_limits(
@@ -259,14 +245,6 @@ def _with_faults(certificate: Certificate, faults: Sequence[Fault], ends: Ends) 
     kinds = (FaultKind.START, FaultKind.GOAL) if ends.part else ()
     left = (fault for fault in certificate.faults if fault.kind not in kinds)
     return replace(certificate, faults=(*faults, *left))
-
-
-def _least(certificate: Certificate) -> float:
-    """Return the least distance that a certificate knows [m]: measured, else proven."""
-    if not np.isnan(certificate.min_clearance_m):
-        return certificate.min_clearance_m
-    clearances = filter(None, (certificate.obstacle_clearance, certificate.self_clearance))
-    return min((item.at_least_m for item in clearances), default=np.inf)
 
 
 def _start_fault(

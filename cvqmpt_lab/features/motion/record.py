@@ -25,8 +25,8 @@ from cvqmpt_lab.certificate.certificate import (
 from cvqmpt_lab.collision.carried import carried_pairs, pairs_of_carried, reach_with
 from cvqmpt_lab.collision.exact import COAL_ROUNDING_M
 from cvqmpt_lab.collision.solids import obstacles_within, solids
+from cvqmpt_lab.features.motion.checked_curves import DryRun
 from cvqmpt_lab.features.motion.limit_use import share_text
-from cvqmpt_lab.features.motion.motion_check import DryRun
 from cvqmpt_lab.features.motion.trajectory import Motion
 from cvqmpt_lab.planning.solution import Solution
 from cvqmpt_lab.problem import PlanningProblem

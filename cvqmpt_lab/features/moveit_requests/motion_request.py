@@ -10,7 +10,7 @@ are `EulerBounds`. Joint positions are checked here.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -140,14 +140,14 @@ def judge_request(
     current = first.copy()
     for name, value in request.start.items():
         current[robot.joint_names.index(name)] = value
-    judged = judge(motion, problem, ends=Ends(current=current), exact_clearance=exact)
-    check = judged.check
-    faults = [*_goal_faults(request, robot, states[-1], len(check.states) - 1.0)]
-    faults += _path_faults(request.path, robot, check.states)
-    if faults:
-        certificate = replace(check.certificate, faults=(*faults, *check.certificate.faults))
-        judged = Judgement(check._replace(certificate=certificate), None)
-    return problem, judged
+
+    def asked(rows: np.ndarray) -> Iterator[Fault]:
+        yield from _goal_faults(request, robot, states[-1], len(rows) - 1.0)
+        yield from _path_faults(request.path, robot, rows)
+
+    return problem, judge(
+        motion, problem, ends=Ends(current=current), exact_clearance=exact, more_faults=asked
+    )
 
 
 def _limited(robot: Robot, request: MotionRequest) -> Robot:
