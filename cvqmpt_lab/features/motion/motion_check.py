@@ -26,6 +26,7 @@ from cvqmpt_lab.features.motion.limit_use import (
     LimitUse,
     effort_uses,
     frame_uses,
+    jump_uses,
     position_use,
     rate_uses,
     rest_faults,
@@ -156,7 +157,7 @@ def dry_run(
             states = curve(times)
             checker = checker_of(problem, deviation_m)
             certificate = certify(problem, JointPath(states), checker, exact_clearance)
-        uses, missing = _uses(problem, motion, name, curve)
+        uses, missing = _uses(problem, motion, name, curve, ends)
         own = [*missing, *(use.fault(times) for use in uses if use.exceeded)]
         own += rest_faults(name, curve, robot, len(times) - 1.0, ends)
         if more_faults:
@@ -188,7 +189,7 @@ def speed_within_limits(
         for name, curve in curves_of(slowed, ends.start_velocity, ends.end_velocity, ends.part)[
             0
         ].items():
-            uses, missing = _uses(problem, slowed, name, curve)
+            uses, missing = _uses(problem, slowed, name, curve, ends)
             faults = [*missing, *rest_faults(name, curve, problem.robot, 0.0, ends)]
             if faults or any(use.exceeded for use in uses):
                 return False
@@ -227,14 +228,16 @@ def _refuse_degrees(robot: Robot, states: np.ndarray) -> None:
 
 
 def _uses(
-    problem: PlanningProblem, motion: Motion, name: str, curve: PPoly
+    problem: PlanningProblem, motion: Motion, name: str, curve: PPoly, ends: Ends
 ) -> tuple[tuple[LimitUse, ...], list[Fault]]:
     """Return the use of every limit on a curve of a motion, and why one is not known."""
     # the quintic has these accelerations at its points
     given = motion.accelerations if name == "cubic" else None
     found = [*rate_uses(name, curve, given, problem.robot)]
     proven = [*frame_uses(problem.robot, curve)]
-    if name != "linear":
+    if name == "linear":
+        found += jump_uses(curve, problem.robot, ends)
+    else:
         proven += effort_uses(problem, curve)
     missing = [item for item in proven if isinstance(item, Fault)]
     return (*found, *(item for item in proven if isinstance(item, LimitUse))), missing

@@ -110,8 +110,8 @@ def test_a_whole_motion_that_is_too_fast_has_a_speed(plan, problem):
 
 def test_a_slower_speed_is_certified_where_the_arm_moves_at_the_start(panda):
     """Joint 1 moves towards its limit; slower, with the same velocity, it swings out further."""
-    v, found = 0.5 * np.eye(7)[0], []
-    for room in (0.012, 0.5):
+    v, found = 0.2 * np.eye(7)[0], []
+    for room in (0.0048, 0.5):
         q = np.array([panda.upper[0] - room, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785])
         positions = q + 0.8 * np.linspace(0.0, 1.0, 8)[:, None] * np.eye(7)[3]
         problem = PlanningProblem("free", panda, Scene("empty", ()), q, q[None])
