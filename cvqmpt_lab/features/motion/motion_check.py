@@ -31,7 +31,7 @@ from cvqmpt_lab.features.motion.limit_use import (
     rate_uses,
     rest_faults,
 )
-from cvqmpt_lab.features.motion.motion_curves import curves_of, straight_moments
+from cvqmpt_lab.features.motion.motion_curves import curves_of, refuse_other_units, straight_moments
 from cvqmpt_lab.features.motion.trajectory import Motion, Trajectory
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import robot_from_source
@@ -129,6 +129,7 @@ def dry_run(
     states, robot = motion.positions, problem.robot
     usable = states.ndim == 2 and states.shape[1] == robot.dof and np.isfinite(states).all()
     usable = usable and len(states) > 0
+    _refuse_unnamed_times(robot, motion)
     if usable:
         _refuse_degrees(robot, states)
     faults = (
@@ -148,6 +149,8 @@ def dry_run(
         * CURVE_TOLERANCE
     )
     curves, gap = curves_of(motion, ends.start_velocity, ends.end_velocity, ends.part)
+    if not ends.part:  # a part may hardly move
+        refuse_other_units(motion, next(iter(curves.values())), robot)
     together = gap <= 0.5 * CURVE_TOLERANCE
     runs: list[DryRun] = []
     for name, curve in curves.items():
@@ -209,6 +212,19 @@ def speed_within_limits(
         slowed = dry_run(problem, motion.at_speed(0.01 * low), ends)
         return 0.01 * low if slowed.certificate.valid else None
     return 0.01 * low
+
+
+def _refuse_unnamed_times(robot: Robot, motion: Motion) -> None:
+    """Refuse a table without a header whose first column is probably the time."""
+    states = motion.positions
+    unnamed = motion.joint_names is None and motion.times is None
+    if unnamed and states.ndim == 2 and states.shape[1] == robot.dof + 1 and len(states) > 1:
+        if (np.diff(states[:, 0]) > 0.0).all():
+            raise InvalidInputError(
+                f"the motion has {robot.dof + 1} values a state, the robot {robot.dof} joints: is "
+                f"the first one the time? Give a table with the header "
+                f"{','.join(['time', *robot.joint_names])}"
+            )
 
 
 def _refuse_degrees(robot: Robot, states: np.ndarray) -> None:

@@ -110,8 +110,55 @@ def _check_times(times: np.ndarray, longest: float = 1e5) -> None:
     if steps.sum() > longest:
         unit = "nanoseconds" if steps.sum() > 1e3 * longest else "milliseconds or microseconds"
         raise InvalidInputError(
-            f"the motion lasts {steps.sum():.3g} s: are its times in {unit}? Give seconds"
+            f"the motion lasts {steps.sum():.3g} s: are its times in {unit}? Give seconds, or call "
+            "the column of a table time_ms, time_us or time_ns"
         )
+
+
+def refuse_other_units(motion: Motion, curve: PPoly, robot: Robot, least: float = 0.01) -> None:
+    """Refuse a trajectory whose times are probably no seconds.
+
+    With positions alone, these are times with which a motion uses less than `least` of every limit
+    of velocity and acceleration. With velocities, these are times with which they would move the
+    joints about 10^3, 10^6 or 10^9 times as far as the positions say.
+
+    Args:
+        motion: the trajectory.
+        curve: its first curve.
+        robot: the robot with the limits of its joints.
+        least: see above.
+    """
+    assert motion.times is not None
+    limits = robot.joint_limits
+    if motion.velocities is None and not motion.in_seconds:
+        share = float((np.abs(rates(curve, 1)) / limits.velocity).max())
+        bent = float((np.abs(rates(curve, 2)) / limits.acceleration).max())
+        if not (0.0 < share < least and bent < least):
+            return
+        factor, said = 1.0 / share, f"no joint uses more than {share:.2g} of its velocity limit"
+    elif motion.velocities is not None:
+        h = np.diff(motion.times)[:, None]
+        speeds = np.abs(motion.velocities)
+        far = float((0.5 * h * (speeds[:-1] + speeds[1:])).sum())
+        moved = float(np.abs(np.diff(motion.positions, axis=0)).sum())
+        factor = far / moved if moved > 0.0 else 0.0
+        if not any(unit / 3.0 < factor < 3.0 * unit for unit in (1e3, 1e6, 1e9)):
+            return
+        said = f"its velocities would move the joints {factor:.2g} times as far as its positions do"
+    else:
+        return
+    unit = "milliseconds"
+    if factor > 1e5:
+        unit = "nanoseconds" if factor > 1e8 else "microseconds"
+    times = f"in {np.ptp(motion.times):.4g} s {said}"
+    cure = "Give seconds"
+    if motion.velocities is None:
+        short = {"milliseconds": "ms", "microseconds": "us", "nanoseconds": "ns"}[unit]
+        cure += (
+            f", or call the column of the table time_{short}; if they are seconds, call it time_s "
+            "(in Python: Motion(..., in_seconds=True))"
+        )
+    raise InvalidInputError(f"{times}: are its times in {unit}? {cure}")
 
 
 def rates(curve: PPoly, order: int) -> np.ndarray:
