@@ -120,8 +120,8 @@ def dry_run(
         exact_clearance: as in `certify`.
         more_faults: further faults of the states of every curve; None: there are none.
 
-    Raises InvalidInputError for joints of another robot, positions in degrees, and times that do
-    not increase.
+    Raises InvalidInputError for joints of another robot, positions in degrees, times that do not
+    increase, and ones that are probably no seconds.
     """
     require_kind("motion", motion, Motion, "give Motion(joint_names, positions, times)")
     ends = ends or Ends()
@@ -142,36 +142,70 @@ def dry_run(
         if usable and more_faults:
             faults += more_faults(states)
         return DryRun(_with_faults(certificate, faults, ends), states)
+    curves, gap = curves_of(motion, ends.start_velocity, ends.end_velocity, ends.part)
+    if not ends.part:  # a part may hardly move
+        refuse_other_units(motion, next(iter(curves.values())), robot)
+    # curves that are so close to each other have the same straight pieces
+    together = gap <= 0.5 * CURVE_TOLERANCE
+    flat = CURVE_TOLERANCE - (gap if together else 0.0)
+    runs: list[DryRun] = []
+    for name, curve in curves.items():
+        if not (runs and together):
+            straight = _straight_run(problem, curve, flat, exact_clearance)
+            asked = [*(more_faults(straight.states) if more_faults else ()), *faults]
+        runs.append(_with_uses(problem, motion, ends, name, curve, straight, asked))
+    return worst_of(runs)
+
+
+def _straight_run(
+    problem: PlanningProblem, curve: PPoly, flat: float, exact_clearance: bool
+) -> DryRun:
+    """Certify the straight pieces in the place of a curve, from which it is at most `flat` away."""
+    robot = problem.robot
     # a hinge moves points by at most the diameter times dq, a slider by dq [m]
     deviation_m = (
         max(2.0 * reach_with(robot, problem.attachments), 1.0)
         * float(np.abs(robot.kinematics.multiplier).sum())
         * CURVE_TOLERANCE
     )
-    curves, gap = curves_of(motion, ends.start_velocity, ends.end_velocity, ends.part)
-    if not ends.part:  # a part may hardly move
-        refuse_other_units(motion, next(iter(curves.values())), robot)
-    together = gap <= 0.5 * CURVE_TOLERANCE
-    runs: list[DryRun] = []
-    for name, curve in curves.items():
-        if not (runs and together):  # else the certified pieces are close to this curve, too
-            flat = CURVE_TOLERANCE - (gap if together else 0.0)
-            times = straight_moments(curve, robot, flat)
-            states = curve(times)
-            checker = checker_of(problem, deviation_m)
-            certificate = certify(problem, JointPath(states), checker, exact_clearance)
-        uses, missing = _uses(problem, motion, name, curve, ends)
-        own = [*missing, *(use.fault(times) for use in uses if use.exceeded)]
-        own += rest_faults(name, curve, robot, len(times) - 1.0, ends)
-        if more_faults:
-            own += more_faults(states)
-        checked = _with_faults(certificate, [*own, *faults], ends)
-        uses = (*position_use(robot, states, times), *uses)
-        # curves begin at 0, the times of a motion may begin later
-        begin = float(motion.times[0])
-        uses = tuple(use._replace(time=begin + use.time) for use in uses)
-        runs.append(DryRun(checked, states, begin + times, deviation_m, name, uses))
-    return worst_of(runs)
+    times = straight_moments(curve, robot, flat)
+    states = curve(times)
+    checker = checker_of(problem, deviation_m)
+    certificate = certify(problem, JointPath(states), checker, exact_clearance)
+    return DryRun(certificate, states, times, deviation_m)
+
+
+def _with_uses(
+    problem: PlanningProblem,
+    motion: Motion,
+    ends: Ends,
+    name: str,
+    curve: PPoly,
+    straight: DryRun,
+    more: Sequence[Fault],
+) -> DryRun:
+    """Return the check of one curve of a motion, with its use of limits.
+
+    Args:
+        problem: the problem.
+        motion: the trajectory.
+        ends: begin and end of the motion.
+        name: name of the curve, see `curves_of`.
+        curve: q(t).
+        straight: check of its straight pieces.
+        more: further faults.
+    """
+    states, times = straight.states, straight.times
+    assert times is not None and motion.times is not None
+    uses, missing = _uses(problem, motion, name, curve, ends)
+    own = [*missing, *(use.fault(times) for use in uses if use.exceeded)]
+    own += rest_faults(name, curve, problem.robot, len(times) - 1.0, ends)
+    certificate = _with_faults(straight.certificate, [*own, *more], ends)
+    # curves begin at 0, the times of a motion may begin later
+    begin = float(motion.times[0])
+    uses = (*position_use(problem.robot, states, times), *uses)
+    uses = tuple(use._replace(time=begin + use.time) for use in uses)
+    return straight._replace(certificate=certificate, times=begin + times, curve=name, uses=uses)
 
 
 def speed_within_limits(
@@ -217,14 +251,15 @@ def speed_within_limits(
 def _refuse_unnamed_times(robot: Robot, motion: Motion) -> None:
     """Refuse a table without a header whose first column is probably the time."""
     states = motion.positions
-    unnamed = motion.joint_names is None and motion.times is None
-    if unnamed and states.ndim == 2 and states.shape[1] == robot.dof + 1 and len(states) > 1:
-        if (np.diff(states[:, 0]) > 0.0).all():
-            raise InvalidInputError(
-                f"the motion has {robot.dof + 1} values a state, the robot {robot.dof} joints: is "
-                f"the first one the time? Give a table with the header "
-                f"{','.join(['time', *robot.joint_names])}"
-            )
+    if motion.joint_names is not None or motion.times is not None or states.ndim != 2:
+        return
+    more = len(states) > 1 and states.shape[1] == robot.dof + 1
+    if more and (np.diff(states[:, 0]) > 0.0).all():
+        raise InvalidInputError(
+            f"the motion has {robot.dof + 1} values a state, the robot {robot.dof} joints: is the "
+            f"first one the time? Give a table with the header "
+            f"{','.join(['time', *robot.joint_names])}"
+        )
 
 
 def _refuse_degrees(robot: Robot, states: np.ndarray) -> None:

@@ -129,36 +129,44 @@ def refuse_other_units(motion: Motion, curve: PPoly, robot: Robot, least: float 
         least: see above.
     """
     assert motion.times is not None
-    limits = robot.joint_limits
-    if motion.velocities is None and not motion.in_seconds:
-        share = float((np.abs(rates(curve, 1)) / limits.velocity).max())
-        bent = float((np.abs(rates(curve, 2)) / limits.acceleration).max())
-        if not (0.0 < share < least and bent < least):
-            return
-        factor, said = 1.0 / share, f"no joint uses more than {share:.2g} of its velocity limit"
-    elif motion.velocities is not None:
-        h = np.diff(motion.times)[:, None]
-        speeds = np.abs(motion.velocities)
-        far = float((0.5 * h * (speeds[:-1] + speeds[1:])).sum())
-        moved = float(np.abs(np.diff(motion.positions, axis=0)).sum())
-        factor = far / moved if moved > 0.0 else 0.0
-        if not any(unit / 3.0 < factor < 3.0 * unit for unit in (1e3, 1e6, 1e9)):
-            return
+    names = ("milliseconds", "ms"), ("microseconds", "us"), ("nanoseconds", "ns")
+    if motion.velocities is not None:
+        factor = _moved_too_far(motion.times, motion.positions, motion.velocities)
         said = f"its velocities would move the joints {factor:.2g} times as far as its positions do"
+        cure = ""
     else:
-        return
-    unit = "milliseconds"
-    if factor > 1e5:
-        unit = "nanoseconds" if factor > 1e8 else "microseconds"
-    times = f"in {np.ptp(motion.times):.4g} s {said}"
-    cure = "Give seconds"
-    if motion.velocities is None:
-        short = {"milliseconds": "ms", "microseconds": "us", "nanoseconds": "ns"}[unit]
-        cure += (
-            f", or call the column of the table time_{short}; if they are seconds, call it time_s "
-            "(in Python: Motion(..., in_seconds=True))"
+        factor = 0.0 if motion.in_seconds else _too_slow(curve, robot, least)
+        said = f"no joint uses more than {1.0 / max(factor, 1.0):.2g} of its velocity limit"
+        cure = (
+            ", or call the column of the table time_{}; if they are seconds, call it time_s (in "
+            "Python: Motion(..., in_seconds=True))"
         )
-    raise InvalidInputError(f"{times}: are its times in {unit}? {cure}")
+    if factor:
+        unit, short = names[int(factor > 1e5) + int(factor > 1e8)]
+        raise InvalidInputError(
+            f"in {np.ptp(motion.times):.4g} s {said}: are its times in {unit}? Give seconds"
+            f"{cure.format(short)}"
+        )
+
+
+def _too_slow(curve: PPoly, robot: Robot, least: float) -> float:
+    """Return 1 over the used share of the velocity limits; 0.0 if a limit is used by `least`."""
+    limits = robot.joint_limits
+    share = float((np.abs(rates(curve, 1)) / limits.velocity).max())
+    bent = float((np.abs(rates(curve, 2)) / limits.acceleration).max())
+    return 1.0 / share if 0.0 < share < least and bent < least else 0.0
+
+
+def _moved_too_far(times: np.ndarray, positions: np.ndarray, velocities: np.ndarray) -> float:
+    """Return how often the way by velocities (m, n) is that by positions (m, n).
+
+    It is 0.0 unless it is about 10^3, 10^6 or 10^9.
+    """
+    speeds = np.abs(velocities)
+    far = float((0.5 * np.diff(times)[:, None] * (speeds[:-1] + speeds[1:])).sum())
+    moved = float(np.abs(np.diff(positions, axis=0)).sum())
+    factor = far / moved if moved > 0.0 else 0.0
+    return factor if any(x / 3.0 < factor < 3.0 * x for x in (1e3, 1e6, 1e9)) else 0.0
 
 
 def rates(curve: PPoly, order: int) -> np.ndarray:

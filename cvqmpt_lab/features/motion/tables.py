@@ -19,11 +19,12 @@ log = logging.getLogger("cvqmpt")
 UNITS = {
     **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), 1.0),
     **dict.fromkeys(("ms", "msec", "millis", "milliseconds"), 1e-3),
-    **dict.fromkeys(("us", "usec", "micros", "microseconds", "µs", "μs"), 1e-6),
+    **dict.fromkeys(("us", "usec", "micros", "microseconds", "\u00b5s", "\u03bcs"), 1e-6),
     **dict.fromkeys(("ns", "nsec", "nanos", "nanoseconds"), 1e-9),
 }
 _TIME = re.compile(
-    rf"_*(?:times?|t|time_?stamp|time_from_start)(?:(?:[ _]+|[ _]*[\[(])({'|'.join(UNITS)})[\])]?)?",
+    r"_*(?:times?|t|time_?stamp|time_from_start)"
+    rf"(?:(?:[ _]+|[ _]*[\[(])({'|'.join(UNITS)})[\])]?)?",
     re.IGNORECASE,
 )
 # columns of positions in recordings of the RTDE interface of Universal Robots, the first one found

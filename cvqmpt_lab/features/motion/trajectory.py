@@ -3,7 +3,8 @@
 Between two states a trajectory is a quintic polynomial; `extremes` and `bounds` are about these.
 
 A csv file has one row per state and perhaps a header of joint names, see `tables`. With a column
-``time`` it is a trajectory, with columns ``JOINT_position``, ``JOINT_velocity`` and perhaps ``JOINT_acceleration``.
+``time`` it is a trajectory, with columns ``JOINT_position``, ``JOINT_velocity`` and perhaps
+``JOINT_acceleration``.
 A json file holds a list of states, an object with ``joint_names`` and ``states`` (or ``path``, as
 ``cvqmpt plan --json`` prints), or ROS's `JointTrajectory`, also inside of the messages of
 `ros_messages`. A yaml file holds the same, as ``ros2 topic echo --full-length`` prints it. An npz
