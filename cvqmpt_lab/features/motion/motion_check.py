@@ -15,7 +15,7 @@ import numpy as np
 
 from cvqmpt_lab.base.errors import InvalidInputError, require_kind
 from cvqmpt_lab.base.polyline import step_lengths
-from cvqmpt_lab.base.values import FULL_TURN_RAD
+from cvqmpt_lab.base.values import FULL_TURN_RAD, NORMALISED, other_units
 from cvqmpt_lab.certificate.certificate import Certificate, Fault, FaultKind, certify
 from cvqmpt_lab.collision.carried import reach_with
 from cvqmpt_lab.collision.exact import checker_of
@@ -263,18 +263,24 @@ def _refuse_unnamed_times(robot: Robot, motion: Motion) -> None:
 
 
 def _refuse_degrees(robot: Robot, states: np.ndarray) -> None:
-    """Refuse states (m, n) that are far outside the joint limits, but inside them as degrees."""
+    """Refuse states (m, n) that are far outside the joint limits: in other units.
+
+    As degrees they are inside; or they are LeRobot's normalised values, if most hinges have more
+    than a turn.
+    """
     hinges = ~robot.kinematics.prismatic[robot.kinematics.order[: robot.dof]]
     beyond = np.maximum(robot.lower - states, states - robot.upper).max(axis=0)
     turned = np.where(hinges, np.radians(states), states)
     # joints may stand beyond their limits in a motion with a fault
     inside = (turned >= robot.lower - 0.1) & (turned <= robot.upper + 0.1)
     j = int(np.where(hinges, beyond, -np.inf).argmax())
-    if hinges[j] and beyond[j] > FULL_TURN_RAD and inside.all():
+    most = np.abs(states).max(axis=0)
+    normalised = most.max() <= NORMALISED and np.mean(most[hinges] > FULL_TURN_RAD) > 0.5
+    if hinges[j] and beyond[j] > FULL_TURN_RAD and (inside.all() or normalised):
         k = int(np.abs(states[:, j]).argmax())
         raise InvalidInputError(
             f"{robot.joint_names[j]} is at {states[k, j]:.4g}, its limits are "
-            f"{robot.lower[j]:.4g} to {robot.upper[j]:.4g}: degrees? Give radians"
+            f"{robot.lower[j]:.4g} to {robot.upper[j]:.4g}: {other_units(states)}"
         )
 
 

@@ -30,7 +30,7 @@ from cvqmpt_lab.base.files import json_value, yaml_value
 from cvqmpt_lab.base.polyline import cut, nearest_places
 from cvqmpt_lab.base.poses import pose, ros_vector
 from cvqmpt_lab.base.readers import field_of, listed, read_by_suffix
-from cvqmpt_lab.base.values import scalar
+from cvqmpt_lab.base.values import other_units, scalar
 from cvqmpt_lab.certificate.between_states import largest_violation
 from cvqmpt_lab.certificate.certificate import (
     CERTIFICATE_TOLERANCE,
@@ -427,7 +427,7 @@ def _joint(fields: Mapping[str, Any], robot: Robot) -> JointBounds:
     if value - below > robot.upper[j] or value + above < robot.lower[j]:
         raise InvalidInputError(
             f"position {value:.4g} of {name} is outside its limits {robot.lower[j]:.4g} to "
-            f"{robot.upper[j]:.4g}: degrees? Give radians, and the robot that was planned"
+            f"{robot.upper[j]:.4g}: {other_units([value])}, and the robot that was planned"
         )
     return JointBounds(name, value - below, value + above)
 
