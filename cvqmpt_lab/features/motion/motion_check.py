@@ -275,7 +275,9 @@ def _refuse_degrees(robot: Robot, states: np.ndarray) -> None:
     inside = (turned >= robot.lower - 0.1) & (turned <= robot.upper + 0.1)
     j = int(np.where(hinges, beyond, -np.inf).argmax())
     most = np.abs(states).max(axis=0)
-    normalised = most.max() <= NORMALISED and np.mean(most[hinges] > FULL_TURN_RAD) > 0.5
+    normalised = (
+        most.max() <= NORMALISED and (most[hinges] > FULL_TURN_RAD).sum() > 0.5 * hinges.sum()
+    )
     if hinges[j] and beyond[j] > FULL_TURN_RAD and (inside.all() or normalised):
         k = int(np.abs(states[:, j]).argmax())
         raise InvalidInputError(
