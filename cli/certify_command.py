@@ -117,6 +117,9 @@ def _by_request(args: argparse.Namespace, motion: Motion) -> tuple[PlanningProbl
     refuse_given(args, unused, "does not go with --request, which states what the motion must keep")
     robot, scene = chosen_robot(args), Scene("no scene", ())
     request = read_request(args.request, robot)
+    if unstated := [name for name in robot.joint_names if name not in request.start]:
+        of = f" of {', '.join(unstated)}" if request.start else ""
+        log(f"the request states no start{of}: the motion may begin anywhere")
     if args.scene is None:
         log("no --scene is given: the motion is compared with the robot itself alone")
     elif args.scene.suffix == ".json":

@@ -39,7 +39,15 @@ import numpy as np
 from cvqmpt_lab.base.codec import Document, OneOrMore, to_plain
 from cvqmpt_lab.base.errors import InvalidProblemError, mapping, unique
 from cvqmpt_lab.base.modules import provider
-from cvqmpt_lab.base.values import FULL_TURN_RAD, Array, Condition, FloatArray, Name, frozen
+from cvqmpt_lab.base.values import (
+    FULL_TURN_RAD,
+    Array,
+    Condition,
+    FloatArray,
+    Name,
+    frozen,
+    other_units,
+)
 from cvqmpt_lab.constraints.named import Region, RegionForm
 from cvqmpt_lab.constraints.region_constraint import (
     Member,
@@ -271,7 +279,7 @@ class PlanningProblem(Document):
         for label, q in self.labelled_configurations():
             outside = self.robot.joint_outside_limits(q)
             if outside is not None:
-                cure = "degrees? Give radians" if outside[1] > FULL_TURN_RAD else "move it inside"
+                cure = other_units(q) if outside[1] > FULL_TURN_RAD else "move it inside"
                 if outside[0] in self.robot.soft_limited:
                     cure += ", or plan beyond the soft limits of the URDF: --hard-limits"
                 raise InvalidProblemError(
@@ -325,7 +333,7 @@ class PlanningProblem(Document):
                 at = tuple(np.argwhere(wrapped)[0])
                 log.warning(
                     f"{self.name}: {what}: joint {robot.joint_names[at[-1]]} turns without end; "
-                    f"{states[at]:g} rad are taken as {moved[at]:.4g} rad (degrees? Give radians)"
+                    f"{states[at]:g} rad are taken as {moved[at]:.4g} rad ({other_units(states)})"
                 )
             if near is not None:
                 turned = nearest_turn(moved, near)

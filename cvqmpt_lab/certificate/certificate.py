@@ -50,6 +50,7 @@ class FaultKind(StrEnum):
     COLLISION = "collision"
     NOT_PROVEN = "not_proven"
     VELOCITY = "velocity"
+    VELOCITY_JUMP = "velocity_jump"
     ACCELERATION = "acceleration"
     JERK = "jerk"
     EFFORT = "effort"

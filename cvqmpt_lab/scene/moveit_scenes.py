@@ -220,12 +220,24 @@ def _object(lines: _Lines) -> dict[str, Any]:
 
 
 def _refuse_other_content(whole: Mapping[str, Any], world: Mapping[str, Any]) -> None:
-    """Refuse octomaps, attached objects and moved frames, which a scene cannot have."""
+    """Refuse diffs, octomaps, attached objects and moved frames, which a scene cannot have."""
+    if whole.get("is_diff"):
+        raise InvalidInputError(
+            "it has is_diff: true, so that it holds only what changed, not the whole scene; give "
+            "the scene that MoveIt's service /get_planning_scene answers, or write is_diff: false "
+            "if this is all of it"
+        )
     if field_of(field_of(world.get("octomap"), "octomap"), "data"):
         raise InvalidInputError(
             "it has an octomap; write it as a cloud, and give that as a map_file"
         )
-    refuse_attached(whole.get("robot_state"))
+    state = whole.get("robot_state")
+    refuse_attached(state)
+    if field_of(state, "is_diff"):
+        log.warning(
+            "robot_state has is_diff: true: joints that it does not name are taken where the robot "
+            "holds them, and the robot is taken to carry nothing"
+        )
     for item in listed(whole.get("fixed_frame_transforms"), "fixed_frame_transforms"):
         moved = field_of(item, "transform")
         T = _matrix(

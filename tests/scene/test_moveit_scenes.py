@@ -148,6 +148,14 @@ def test_a_rotation_that_is_not_read_is_refused(tmp_path, turn, message):
     refused(message, read, tmp_path, [CAN | {"pose": there}], ".yaml")
 
 
+def test_the_state_of_a_robot_that_is_a_diff_is_told(tmp_path, caplog):
+    whole = {"world": {"collision_objects": [CAN]}, "is_diff": False}
+    for state, told in (({"is_diff": True}, "the robot is taken to carry nothing"), ({}, "")):
+        caplog.clear()
+        assert read(tmp_path, whole | {"robot_state": state}, ".yaml")[0].objects
+        assert told in caplog.text and bool(caplog.text) == bool(told)
+
+
 def test_a_scene_with_content_that_cannot_be_converted_is_refused(tmp_path):
     world = {"collision_objects": [CAN]}
     attached = {"attached_collision_objects": [{"link_name": "hand", "object": CAN}]}
@@ -157,6 +165,8 @@ def test_a_scene_with_content_that_cannot_be_converted_is_refused(tmp_path):
     for data, message in (
         ({"world": world, "robot_state": attached}, "carries can; .*'attachments'"),
         ({"world": world | {"octomap": {"octomap": {"data": [1]}}}}, "octomap"),
+        ({"world": world, "is_diff": True}, "only what changed, .*/get_planning_scene"),
+        ({"collision_objects": [CAN], "is_diff": True}, "is_diff: false if this is all of it"),
         ({"world": world, "fixed_frame_transforms": [moved]}, "frame 'base' is moved"),
         ({"world": {"collision_objects": two}}, "frames base, table"),
     ):

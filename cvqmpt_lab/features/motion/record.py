@@ -25,8 +25,8 @@ from cvqmpt_lab.certificate.certificate import (
 from cvqmpt_lab.collision.carried import carried_pairs, pairs_of_carried, reach_with
 from cvqmpt_lab.collision.exact import COAL_ROUNDING_M
 from cvqmpt_lab.collision.solids import obstacles_within, solids
-from cvqmpt_lab.features.motion.limit_use import share_text
-from cvqmpt_lab.features.motion.motion_check import DryRun
+from cvqmpt_lab.features.motion.checked_curves import DryRun
+from cvqmpt_lab.features.motion.limit_use import LimitUse, share_text
 from cvqmpt_lab.features.motion.trajectory import Motion
 from cvqmpt_lab.planning.solution import Solution
 from cvqmpt_lab.problem import PlanningProblem
@@ -175,7 +175,10 @@ def report_of(found: DryRun, contents: dict[str, Any]) -> Report:
         slower = contents["limits_hold_at_speed"]
         lines.append(("slower", f"at {slower:.2f} of this speed every limit holds"))
     lines += [
-        ("limit", f"{use.words} used to {use.share:.3g} by {use.of} at {use.time:.4f} s")
+        (
+            "limit",
+            f"{use.words} used to {use.share:.3g} by {use.of} at {use.time:.4f} s{_size(use)}",
+        )
         for use in found.uses
     ]
     if certificate.states_checked == 0:
@@ -247,6 +250,13 @@ def report_of(found: DryRun, contents: dict[str, Any]) -> Report:
         ),
     ]
     return Report.of(lines, lambda: contents)
+
+
+def _size(use: LimitUse) -> str:
+    """Return the size of a jump of velocity between straight lines in words, or ""."""
+    if use.kind is not FaultKind.VELOCITY_JUMP:
+        return ""
+    return f", {use.value:.3g} of {use.limit:.3g} {use.unit} between straight lines"
 
 
 def _distance(found: DryRun, clearance: Clearance) -> str:

@@ -10,7 +10,7 @@ are `EulerBounds`. Joint positions are checked here.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -30,7 +30,7 @@ from cvqmpt_lab.base.files import json_value, yaml_value
 from cvqmpt_lab.base.polyline import cut, nearest_places
 from cvqmpt_lab.base.poses import pose, ros_vector
 from cvqmpt_lab.base.readers import field_of, listed, read_by_suffix
-from cvqmpt_lab.base.values import scalar
+from cvqmpt_lab.base.values import other_units, scalar
 from cvqmpt_lab.certificate.between_states import largest_violation
 from cvqmpt_lab.certificate.certificate import (
     CERTIFICATE_TOLERANCE,
@@ -140,14 +140,14 @@ def judge_request(
     current = first.copy()
     for name, value in request.start.items():
         current[robot.joint_names.index(name)] = value
-    judged = judge(motion, problem, ends=Ends(current=current), exact_clearance=exact)
-    check = judged.check
-    faults = [*_goal_faults(request, robot, states[-1], len(check.states) - 1.0)]
-    faults += _path_faults(request.path, robot, check.states)
-    if faults:
-        certificate = replace(check.certificate, faults=(*faults, *check.certificate.faults))
-        judged = Judgement(check._replace(certificate=certificate), None)
-    return problem, judged
+
+    def asked(rows: np.ndarray) -> Iterator[Fault]:
+        yield from _goal_faults(request, robot, states[-1], len(rows) - 1.0)
+        yield from _path_faults(request.path, robot, rows)
+
+    return problem, judge(
+        motion, problem, ends=Ends(current=current), exact_clearance=exact, more_faults=asked
+    )
 
 
 def _limited(robot: Robot, request: MotionRequest) -> Robot:
@@ -428,7 +428,7 @@ def _joint(fields: Mapping[str, Any], robot: Robot) -> JointBounds:
     if value - below > robot.upper[j] or value + above < robot.lower[j]:
         raise InvalidInputError(
             f"position {value:.4g} of {name} is outside its limits {robot.lower[j]:.4g} to "
-            f"{robot.upper[j]:.4g}: degrees? Give radians, and the robot that was planned"
+            f"{robot.upper[j]:.4g}: {other_units([value])}, and the robot that was planned"
         )
     return JointBounds(name, value - below, value + above)
 
