@@ -26,10 +26,9 @@ from cvqmpt_lab.base.errors import (
     shown,
     unique,
 )
-from cvqmpt_lab.base.files import json_value, yaml_value
 from cvqmpt_lab.base.polyline import cut, nearest_places
 from cvqmpt_lab.base.poses import pose, ros_vector
-from cvqmpt_lab.base.readers import field_of, listed, read_by_suffix
+from cvqmpt_lab.base.readers import field_of, listed, plain_readers, read_by_suffix
 from cvqmpt_lab.base.values import scalar
 from cvqmpt_lab.certificate.between_states import largest_violation
 from cvqmpt_lab.certificate.certificate import (
@@ -103,12 +102,7 @@ class MotionRequest:
 
 def read_request(path: Path, robot: Robot) -> MotionRequest:
     """Read the request of a json or yaml file; InvalidInputError names what cannot be judged."""
-    readers = {
-        ".json": lambda data: _request(json_value(data.decode("utf-8-sig"), "it"), robot),
-        ".yaml": lambda data: _request(yaml_value(data.decode()), robot),
-    }
-    readers[".yml"] = readers[".yaml"]
-    return read_by_suffix(readers, path, "request")
+    return read_by_suffix(plain_readers(_request), path, "request", robot)
 
 
 def judge_request(
