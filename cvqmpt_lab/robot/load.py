@@ -40,6 +40,7 @@ from cvqmpt_lab.robot.joint_limits_file import (
 )
 from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.mechanism import ArticulatedObject, with_articulated_object
+from cvqmpt_lab.robot.reach import note_on_reach
 from cvqmpt_lab.robot.robot import (
     LIMIT_UNITS,
     Follower,
@@ -67,8 +68,6 @@ from cvqmpt_lab.robot.urdf import (
     read_urdf,
 )
 from cvqmpt_lab.robot.urdf_bodies import Prepared, prepare_bodies
-
-MAX_REACH_M = 10.0  # from the origin; the kernels' distance grid then takes 125 MB
 
 
 class StateForm(Array):
@@ -341,17 +340,7 @@ def _built(source: Mapping[str, Any], free: Sequence[str] = ()) -> Robot:
         files=tuple({**read, **meshes}.items()),
         continuous=tuple(name for name in names if urdf.joints[name].kind == "continuous"),
     )
-    if robot.reach > MAX_REACH_M:
-        far = [
-            f"joint {joint.name!r} slides to {max(-joint.lower, joint.upper):g} m"
-            for joint in urdf.joints.values()
-            if joint.kind == "prismatic" and max(-joint.lower, joint.upper) > MAX_REACH_M / 2
-        ]
-        raise InvalidInputError(
-            f"{urdf.path.name} reaches {robot.reach:.3g} m from the origin, because "
-            f"{', '.join(far) or 'its links or base lie far away'}: at most {MAX_REACH_M:g} m; are "
-            "all lengths in metres?"
-        )
+    far = note_on_reach(robot, urdf)
     left_out = left_out_pairs(model, geometry, robot.links, robot.kinematics, urdf, given.srdf)
     pairs = checked_pairs(model, geometry, left_out)
     off = default_off(srdf_root(Path(given.srdf)))[0] if given.srdf else set()
@@ -360,7 +349,13 @@ def _built(source: Mapping[str, Any], free: Sequence[str] = ()) -> Robot:
         replace(piece, self_only=True) if owner in off else piece
         for piece, owner in zip(robot.links, owners, strict=True)
     )
-    return replace(robot, links=links, self_collision_pairs=pairs, left_out_pairs=left_out)
+    return replace(
+        robot,
+        links=links,
+        self_collision_pairs=pairs,
+        left_out_pairs=left_out,
+        remarks=remarks + far,
+    )
 
 
 def _within_soft_limits(model: pin.Model, urdf: Urdf, planned: Sequence[str]) -> tuple[str, ...]:
