@@ -61,6 +61,7 @@ from cvqmpt_lab.features.tasks.task import Task
 from cvqmpt_lab.planning.pipeline import with_drawn_goals
 from cvqmpt_lab.planning.usable import why_no_goal
 from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.robot.dynamics import too_weak
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 
@@ -101,6 +102,8 @@ def _new(args: argparse.Namespace) -> None:
         print(note)
     if args.task is None:
         problem = PlanningProblem.load(path)
+        if weak := too_weak(problem.robot):
+            print(f"note: {weak}")
         print("\n".join(hand_lines(problem.robot, problem.start)))
     print(f"{path} written, and {schema} for editors; plan it with: cvqmpt plan {path}")
 
