@@ -74,7 +74,7 @@ def run(args: argparse.Namespace) -> None:
         "problems": ("list", "export"),
         "out": ("export", "import"),
         "goals": ("export",),
-        "robot": ("new",),
+        "robot": ("new", "import"),
         "task": ("new",),
     }
     for name, actions in goes_with.items():
@@ -123,12 +123,18 @@ def _import(args: argparse.Namespace) -> None:
     path = args.out or Path(f"{source.stem}.json")
     if path.exists():
         raise InvalidInputError(f"{path} exists already; name another file with --out")
-    scene, frame = read_moveit_scene(source)
+    robot = chosen_robot(args) if args.robot else None
+    scene, frame = read_moveit_scene(source, robot)
     write_text(writable_file(path), json_text(to_plain(scene)) + "\n")
     named = f"frame {frame!r}" if frame else "the file's frame"
     print(
-        f"{path} written: {len(scene.objects)} objects; {named} is used as the world, at whose "
-        "origin the robot's base stands unless base in the field robot moves it"
+        f"{path} written: {len(scene.objects)} objects; "
+        + (
+            f"frames are those of {robot.name}"
+            if robot
+            else f"{named} is used as the world, at whose origin the robot's base stands unless "
+            "base in the field robot moves it; --robot checks the frame"
+        )
     )
     print(
         f'use it in a problem, "scene": "{path.name}", or in: cvqmpt plan --scene {path} --start '

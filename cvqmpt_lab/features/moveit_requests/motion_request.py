@@ -47,6 +47,7 @@ from cvqmpt_lab.robot.hulls import srdf_root
 from cvqmpt_lab.robot.load import gripper_joints, robot_from_source
 from cvqmpt_lab.robot.robot import FrameLimit, Robot
 from cvqmpt_lab.robot.source import read_source
+from cvqmpt_lab.scene.moveit_frames import frame_name, standing_frame
 from cvqmpt_lab.scene.moveit_scenes import read_pose, read_primitive, refuse_attached
 from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.scene.shapes import Box, Cylinder, Sphere
@@ -426,21 +427,8 @@ def _joint(fields: Mapping[str, Any], robot: Robot) -> JointBounds:
     return JointBounds(name, value - below, value + above)
 
 
-def standing_frame(name: str, robot: Robot) -> np.ndarray:
-    """Return T_world_frame (4, 4) of a frame_id of a message, which must stand still."""
-    if name in ("", "world") and name not in robot.frame_names:
-        return np.eye(4)
-    row, T = robot.link_of(name)
-    if row != 0:
-        raise InvalidInputError(
-            f"frame_id {name!r} is moved by the planned joints; give a frame that stands still, "
-            f"such as {robot.frame_names[0]!r}"
-        )
-    return T
-
-
 def _frame(fields: Mapping[str, Any], robot: Robot) -> np.ndarray:
-    return standing_frame(str(field_of(fields.get("header"), "frame_id") or ""), robot)
+    return standing_frame(frame_name(field_of(fields.get("header"), "frame_id")), robot)
 
 
 def _link(fields: Mapping[str, Any], robot: Robot) -> str:
