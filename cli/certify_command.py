@@ -21,7 +21,6 @@ from cvqmpt_lab.cli.options import (
     Options,
     file_of_kind,
     log,
-    numbers,
     option,
     positive,
     refuse_given,
@@ -29,6 +28,7 @@ from cvqmpt_lab.cli.options import (
 from cvqmpt_lab.cli.problem_arguments import (
     chosen_problem,
     chosen_robot,
+    configuration,
     end_velocities,
 )
 from cvqmpt_lab.cli.problem_options import PROBLEM, ROBOT, velocity_options
@@ -132,7 +132,9 @@ def _ends(args: argparse.Namespace, motion: Motion, problem: PlanningProblem) ->
     if motion.times is None:
         why = f"goes with a trajectory; {args.path} has no times"
         refuse_given(args, ["start_velocity", "end_velocity"], why)
-    current = None if args.current is None else np.array(args.current)
+    current = None
+    if args.current is not None:
+        current = configuration(problem.robot, "--current", args.current)
     if args.part and args.current is None:
         raise InvalidInputError(
             "--part: a part of a motion begins where the arm is: give --current"
@@ -287,8 +289,8 @@ OPTIONS: Options = {
         **REPEATED,
     ),
     "--current": option(
-        "current configuration of the arm, in quotes [rad]; the motion must begin there",
-        type=partial(numbers, "--current"),
+        "current configuration of the arm, in quotes [rad], or a file with a JointState; the "
+        "motion must begin there",
         metavar="Q",
     ),
     "--tolerance": option(

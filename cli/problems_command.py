@@ -127,15 +127,14 @@ def _import(args: argparse.Namespace) -> None:
     scene, frame = read_moveit_scene(source, robot)
     write_text(writable_file(path), json_text(to_plain(scene)) + "\n")
     named = f"frame {frame!r}" if frame else "the file's frame"
-    print(
-        f"{path} written: {len(scene.objects)} objects; "
-        + (
-            f"frames are those of {robot.name}"
-            if robot
-            else f"{named} is used as the world, at whose origin the robot's base stands unless "
-            "base in the field robot moves it; --robot checks the frame"
+    if robot is not None:
+        where = f"frames are those of {robot.name}"
+    else:
+        where = (
+            f"{named} is used as the world, at whose origin the robot's base stands unless base in "
+            "the field robot moves it"
         )
-    )
+    print(f"{path} written: {len(scene.objects)} objects; {where}")
     print(
         f'use it in a problem, "scene": "{path.name}", or in: cvqmpt plan --scene {path} --start '
         f"Q --goal Q"

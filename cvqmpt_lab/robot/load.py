@@ -38,6 +38,7 @@ from cvqmpt_lab.robot.joint_limits_file import (
     narrow_positions,
     read_joint_limits,
 )
+from cvqmpt_lab.robot.joint_states import is_joint_state, of_joints
 from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.mechanism import ArticulatedObject, with_articulated_object
 from cvqmpt_lab.robot.reach import note_on_reach
@@ -508,8 +509,8 @@ def numbers_of(robot: Robot, value: Any, where: str) -> Any:
 
     Args:
         robot: the robot.
-        value: {"joint": number} or the name of a group_state of its SRDF; any other value is
-            returned unchanged.
+        value: {"joint": number}, a JointState message or the name of a group_state of its SRDF;
+            any other value is returned unchanged.
         where: the field's name in errors.
     """
     if isinstance(value, str):
@@ -522,6 +523,8 @@ def numbers_of(robot: Robot, value: Any, where: str) -> Any:
         value = {name: number for name, number in states[value].items() if name in known}
     if not isinstance(value, Mapping):
         return value
+    if is_joint_state(value):
+        value = of_joints(value, robot.joint_names, where)
     for name in value:
         require_choice(f"joint of {where}", name, robot.joint_names)
     missing = [name for name in robot.joint_names if name not in value]

@@ -25,7 +25,8 @@ from cvqmpt_lab.base.errors import (
 from cvqmpt_lab.base.files import yaml_value
 from cvqmpt_lab.base.poses import ros_vector
 from cvqmpt_lab.base.readers import field_of, listed, read_by_suffix
-from cvqmpt_lab.base.values import FloatArray, numbers, scalar
+from cvqmpt_lab.base.values import FloatArray, numbers
+from cvqmpt_lab.robot.joint_states import joint_state_values
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.robot.source import mesh_path
 from cvqmpt_lab.scene.mesh_files import MAX_TRIANGLES, convex_pieces, read_mesh
@@ -122,12 +123,12 @@ def _scene(
         placed = zip(names, pieces, strict=True)
         objects += [SceneObject(name, shape, T) for name, (shape, T) in placed]
         frames += [frame_name(field_of(fields.get("header"), "frame_id"))] * len(pieces)
-    objects = _placed(objects, frames, fixed_transforms(whole), robot)
+    objects, frame = _placed(objects, frames, fixed_transforms(whole), robot)
     if held is not None:
         _refuse_other_values(whole.get("robot_state"), held)
         _refuse_link_settings(whole, [str(item.get("id")) for item in world["collision_objects"]])
     name = str(whole.get("name") or path.stem)
-    return Scene(name, tuple(objects)), frames[0] if frames else ""
+    return Scene(name, tuple(objects)), frame
 
 
 def _placed(
@@ -135,8 +136,11 @@ def _placed(
     frames: Sequence[str],
     transforms: Sequence[FixedTransform],
     robot: Robot | None,
-) -> list[SceneObject]:
-    """Return objects, each in its frame, in the world; without a robot, all in one frame."""
+) -> tuple[list[SceneObject], str]:
+    """Return objects, each in its frame, in the world, and a frame that stands there.
+
+    Without a robot, all must be in one frame.
+    """
     names = list(dict.fromkeys(frames))
     if robot is None and len(names) > 1:
         raise InvalidInputError(
@@ -144,8 +148,12 @@ def _placed(
             "frames, or write all in one frame"
         )
     T = placed_frames(names, transforms, robot)
-    placed = zip(objects, frames, strict=True)
-    return [replace(it, T_world_object=T[frame] @ it.T_world_object) for it, frame in placed]
+    placed = [
+        replace(item, T_world_object=T[frame] @ item.T_world_object)
+        for item, frame in zip(objects, frames, strict=True)
+    ]
+    at_world = [name for name in names if np.array_equal(T[name], np.eye(4))]
+    return placed, at_world[0] if at_world else ""
 
 
 def _pieces(vertices: FloatArray, triangles: FloatArray) -> Iterator[ConvexMesh]:
@@ -270,12 +278,9 @@ def refuse_attached(state: Any) -> None:
 
 def _refuse_other_values(state: Any, held: Mapping[str, float], most: float = 1e-3) -> None:
     """Refuse joints that a RobotState has more than `most` [rad or m] from where they are held."""
-    joints = field_of(state, "joint_state")
-    names, values = (listed(field_of(joints, key), key) for key in ("name", "position"))
-    if len(names) != len(values):
-        raise InvalidInputError(f"robot_state has {len(names)} names, {len(values)} positions")
-    for name, value in zip(map(str, names), values, strict=True):
-        if name in held and abs(scalar(float, value, name) - held[name]) > most:
+    values = joint_state_values(field_of(state, "joint_state"), "robot_state.joint_state")
+    for name, value in values.items():
+        if name in held and abs(value - held[name]) > most:
             raise InvalidInputError(
                 f"robot_state has {name} at {value:.9g}, the robot holds it at {held[name]:.9g}: "
                 f"give --lock {name}={value:.9g}"
