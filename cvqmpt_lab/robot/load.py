@@ -299,11 +299,14 @@ def _built(source: Mapping[str, Any], free: Sequence[str] = ()) -> Robot:
         speeds = positive_per_joint("velocity", velocities, names, LIMIT_UNITS["velocity"])
         for j, speed in zip(own.tolist(), speeds.tolist(), strict=True):
             model.upperVelocityLimit[j] = speed
+    known_limits = {key.removesuffix("_limits"): given.limits[key] for key in given.limits}
+    if known_limits["effort"] is None and any("effort" in stated.get(name, {}) for name in names):
+        # the URDF's, where they are plausible
+        known_limits["effort"] = np.where(np.isinf(plausible), np.nan, plausible)
     limits = {
         kind: positive_per_joint(kind, values, names, LIMIT_UNITS[kind])
         for kind, values in (
-            (kind, limits_with(kind, given.limits[f"{kind}_limits"], stated, names))
-            for kind in (key.removesuffix("_limits") for key in given.limits)
+            (kind, limits_with(kind, known_limits[kind], stated, names)) for kind in known_limits
         )
         # limits of the source have no entries for `free` joints
         if values is not None and not free

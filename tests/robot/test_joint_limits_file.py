@@ -124,3 +124,13 @@ def test_parameters_with_limits_twice_or_without_are_refused(with_limits):
 )
 def test_malformed_text_is_one_line(with_limits, text, told):
     assert "\n" not in refused(told, with_limits, text)
+
+
+def test_joints_without_an_effort_in_the_file_keep_the_one_of_the_urdf(with_limits):
+    """A file with the effort of one joint was refused: none of the others were known."""
+    text = "joint_limits: {panda_joint1: {has_effort_limits: true, max_effort: 50.0}}"
+    known = panda().limits["effort"]
+    np.testing.assert_array_equal(with_limits(text).limits["effort"], [50.0, *known[1:]])
+    ur5 = "joint_limits: {shoulder_pan_joint: {has_effort_limits: true, max_effort: 100.0}}"
+    robot = with_limits(ur5, {"name": "ur5"})
+    assert robot.limits["effort"].tolist() == [100.0, *robot.model.upperEffortLimit[1:]]
