@@ -3,7 +3,7 @@
 import argparse
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from cvqmpt_lab.base.codec import from_plain
-from cvqmpt_lab.base.errors import InvalidInputError, located
+from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.base.files import csv_table, read_json_object, write_text
 from cvqmpt_lab.base.reports import Entry, Report
 from cvqmpt_lab.base.values import Array, FloatArray
@@ -21,7 +21,6 @@ from cvqmpt_lab.cli.options import (
     Options,
     file_of_kind,
     log,
-    numbers,
     option,
     positive,
     refuse_given,
@@ -29,6 +28,7 @@ from cvqmpt_lab.cli.options import (
 from cvqmpt_lab.cli.problem_arguments import (
     chosen_problem,
     chosen_robot,
+    configuration,
     end_velocities,
 )
 from cvqmpt_lab.cli.problem_options import PROBLEM, ROBOT, velocity_options
@@ -107,7 +107,6 @@ def _by_request(args: argparse.Namespace, motion: Motion) -> tuple[PlanningProbl
     from cvqmpt_lab.features.moveit_requests.motion_request import (
         judge_request,
         read_request,
-        standing_frame,
     )
 
     if args.suite:
@@ -127,12 +126,7 @@ def _by_request(args: argparse.Namespace, motion: Motion) -> tuple[PlanningProbl
     else:
         from cvqmpt_lab.scene.moveit_scenes import read_moveit_scene
 
-        held = {joint.name: joint.value for joint in robot.held_joints}
-        scene, frame = read_moveit_scene(args.scene, {**held, **request.fingers})
-        with located(f"scene {args.scene}"):
-            T = standing_frame(frame, robot)
-        moved = (replace(each, T_world_object=T @ each.T_world_object) for each in scene.objects)
-        scene = replace(scene, objects=tuple(moved))
+        scene, _ = read_moveit_scene(args.scene, robot, request.fingers)
     return judge_request(motion, request, robot, scene, exact=True)
 
 
@@ -141,7 +135,9 @@ def _ends(args: argparse.Namespace, motion: Motion, problem: PlanningProblem) ->
     if motion.times is None:
         why = f"goes with a trajectory; {args.path} has no times"
         refuse_given(args, ["start_velocity", "end_velocity"], why)
-    current = None if args.current is None else np.array(args.current)
+    current = None
+    if args.current is not None:
+        current = configuration(problem.robot, "--current", args.current)
     if args.part and args.current is None:
         raise InvalidInputError(
             "--part: a part of a motion begins where the arm is: give --current"
@@ -296,8 +292,8 @@ OPTIONS: Options = {
         **REPEATED,
     ),
     "--current": option(
-        "current configuration of the arm, in quotes [rad]; the motion must begin there",
-        type=partial(numbers, "--current"),
+        "current configuration of the arm, in quotes [rad], or a file with a JointState; the "
+        "motion must begin there",
         metavar="Q",
     ),
     "--tolerance": option(

@@ -10,6 +10,7 @@ import numpy as np
 
 from cvqmpt_lab.base.errors import InvalidInputError, located, mapping
 from cvqmpt_lab.base.files import read_json_object
+from cvqmpt_lab.base.readers import plain_readers, read_by_suffix
 from cvqmpt_lab.benchmarks.declarations import SUITES
 from cvqmpt_lab.benchmarks.suite import suite_named
 from cvqmpt_lab.cli.options import NOTES, numbers, refuse_given
@@ -18,6 +19,7 @@ from cvqmpt_lab.features.tasks.task import Task
 from cvqmpt_lab.planning.margins import Margin
 from cvqmpt_lab.planning.planners import PLANNERS
 from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.robot.joint_states import is_joint_state
 from cvqmpt_lab.robot.load import group_states, numbers_of, robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.robot.source import ARMS, with_absolute_paths
@@ -108,7 +110,8 @@ def configuration(robot: Robot, option: str, text: str, file: Path | None = None
     Args:
         robot: whose configuration it is.
         option: for messages.
-        text: numbers, the name of a group_state of the SRDF, or start or goal of a file.
+        text: numbers, the name of a group_state of the SRDF, start or goal of a file, or a file
+            with a JointState message.
         file: file of a problem or task; None: start and goal have no meaning.
     """
     if text in ("start", "goal") and file is not None:
@@ -120,6 +123,13 @@ def configuration(robot: Robot, option: str, text: str, file: Path | None = None
                 f"{option} {text}: {file} has no configuration in {field!r}; write numbers"
             )
         return np.array(numbers_of(robot, given, f"{file}: {text}"))
+    if Path(text).suffix in (".json", ".yaml", ".yml"):
+        state = read_by_suffix(plain_readers(), text, "joint state", most=2**20)
+        if not is_joint_state(state):
+            raise InvalidInputError(
+                f"{option} {text} is no JointState with name and position; write numbers"
+            )
+        return np.array(numbers_of(robot, state, f"{option} {text}"))
     named = text if text in group_states(robot) else numbers(option, text, robot.joint_names)
     return np.array(numbers_of(robot, named, option))
 

@@ -356,7 +356,10 @@ SCAN: Options = {
 MOTION: Options = {
     "one motion, in free space or among the obstacles of --cloud or --scene, instead of a suite or "
     "file": {
-        "--start": option("configuration, numbers separated by commas [rad or m]", metavar="Q"),
+        "--start": option(
+            "configuration, numbers separated by commas [rad or m], or a file with a JointState",
+            metavar="Q",
+        ),
         "--goal": option(
             "goal configuration; repeatable: the path ends at any of them", metavar="Q", **REPEATED
         ),

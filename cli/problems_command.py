@@ -61,6 +61,7 @@ from cvqmpt_lab.features.tasks.task import Task
 from cvqmpt_lab.planning.pipeline import with_drawn_goals
 from cvqmpt_lab.planning.usable import why_no_goal
 from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.robot.dynamics import too_weak
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 
@@ -73,7 +74,7 @@ def run(args: argparse.Namespace) -> None:
         "problems": ("list", "export"),
         "out": ("export", "import"),
         "goals": ("export",),
-        "robot": ("new",),
+        "robot": ("new", "import"),
         "task": ("new",),
     }
     for name, actions in goes_with.items():
@@ -101,6 +102,8 @@ def _new(args: argparse.Namespace) -> None:
         print(note)
     if args.task is None:
         problem = PlanningProblem.load(path)
+        if weak := too_weak(problem.robot):
+            print(f"note: {weak}")
         print("\n".join(hand_lines(problem.robot, problem.start)))
     print(f"{path} written, and {schema} for editors; plan it with: cvqmpt plan {path}")
 
@@ -120,13 +123,18 @@ def _import(args: argparse.Namespace) -> None:
     path = args.out or Path(f"{source.stem}.json")
     if path.exists():
         raise InvalidInputError(f"{path} exists already; name another file with --out")
-    scene, frame = read_moveit_scene(source)
+    robot = chosen_robot(args) if args.robot else None
+    scene, frame = read_moveit_scene(source, robot)
     write_text(writable_file(path), json_text(to_plain(scene)) + "\n")
     named = f"frame {frame!r}" if frame else "the file's frame"
-    print(
-        f"{path} written: {len(scene.objects)} objects; {named} is used as the world, at whose "
-        "origin the robot's base stands unless base in the field robot moves it"
-    )
+    if robot is not None:
+        where = f"frames are those of {robot.name}"
+    else:
+        where = (
+            f"{named} is used as the world, at whose origin the robot's base stands unless base in "
+            "the field robot moves it"
+        )
+    print(f"{path} written: {len(scene.objects)} objects; {where}")
     print(
         f'use it in a problem, "scene": "{path.name}", or in: cvqmpt plan --scene {path} --start '
         f"Q --goal Q"

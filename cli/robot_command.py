@@ -16,7 +16,7 @@ from cvqmpt_lab.cli.options import FLAG, Options, file_of_kind, log, option, pic
 from cvqmpt_lab.cli.problem_arguments import robot_options, source_named
 from cvqmpt_lab.cli.problem_options import CODE, ROBOT_DETAILS
 from cvqmpt_lab.collision.exact import CollisionChecker
-from cvqmpt_lab.robot.dynamics import without_effort_limit
+from cvqmpt_lab.robot.dynamics import too_weak, without_effort_limit
 from cvqmpt_lab.robot.hulls import OVERLAP
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.robot import FrameLimit, Robot
@@ -105,7 +105,7 @@ def describe(robot: Robot, tried: int = 200) -> dict[str, Any]:
         ],
         "left_out_pairs": [[p.first, p.second, p.reason] for p in robot.left_out_pairs],
         "links_without_body": list(robot.bodiless),
-        "notes": robot.notes,
+        "notes": [*robot.notes, *filter(None, [too_weak(robot)])],
         "share_free_of_self_collision": float(1.0 - collide.mean()),
     }
 
@@ -172,6 +172,8 @@ def entries(robot: Robot, model: dict[str, Any], guesses: list[str]) -> Iterator
         yield ("timing", "no acceleration limits: timed motions need --acceleration")
     if unlimited := without_effort_limit(robot):
         yield ("timing", unlimited)
+    if weak := too_weak(robot):
+        yield ("timing", weak)
 
 
 def _listed(names: Iterable[str]) -> str:

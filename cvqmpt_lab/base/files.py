@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import csv
 import fcntl
+import functools
 import importlib
 import io
 import json
@@ -275,13 +276,60 @@ def csv_table(lines: Iterable[Iterable[object]]) -> str:
     return text.getvalue()
 
 
+YAML_UNITS: Mapping[str, float] = {
+    "!degrees": math.pi / 180.0,
+    "!radians": 1.0,
+    "!millimeters": 1e-3,
+    "!meters": 1.0,
+    "!inches": 0.0254,
+    "!foot": 0.3048,
+}
+"""Tags of xacro and rosparam for numbers, with the size of their unit [rad or m]."""
+
+
 def yaml_value(text: str) -> Any:
     """Return the value of a YAML text; refuse tags, aliases and repeated keys.
 
-    Nested aliases could need unlimited memory. Malformed text raises yaml's own errors. Marks of
-    the end, as `ros2 topic echo` prints them, are ignored.
+    Read are the tags of units, as xacro reads them, and the matrices and first line of OpenCV's
+    FileStorage. Nested aliases could need unlimited memory. Marks of the end, as `ros2 topic echo`
+    prints them, are ignored. InvalidInputError names line and column of malformed text.
     """
     import yaml  # imported here: most runs read no such file
+
+    text = re.sub(r"\A\ufeff?%YAML:1\.[0-9][ \t]*\r?\n", "", text)
+    text = re.sub(r"(?m)(^(---|\.\.\.)[ \t]*\r?\n?)+\Z", "", text)
+    try:
+        return yaml.load(text, _yaml_loader())
+    except yaml.MarkedYAMLError as error:
+        said = str(error.problem or error.context)
+        if "single document" in str(error):
+            said = (
+                "it has more than a single document; keep one, and remove the others with their "
+                "'---'"
+            )
+        elif "could not determine a constructor" in said:
+            tag = said.rpartition("tag ")[2].strip("'").replace("tag:yaml.org,2002:", "!!")
+            said = f"the tag {tag} is not read; write the value without it"
+        elif "unhashable key" in said:
+            said = "a key is a list or a mapping; write a name"
+        elif r"'\t'" in said:
+            said = "a tab; indent by blanks"
+        mark = error.problem_mark or error.context_mark
+        place = f"line {mark.line + 1}, column {mark.column + 1}: " if mark else ""
+        raise InvalidInputError(f"{place}{said}") from error
+    except InvalidInputError:
+        raise
+    except RecursionError as error:
+        raise InvalidInputError("lists or mappings are nested too deeply") from error
+    except Exception as error:  # yaml's own types raise all kinds of errors
+        said = " ".join(str(error).split())[:200]
+        raise InvalidInputError(f"it has a value that is none of its type: {said}") from error
+
+
+@functools.cache
+def _yaml_loader() -> type:
+    """Return the loader of `yaml_value`."""
+    import yaml
 
     class Loader(yaml.SafeLoader):
         def compose_node(self, parent: Any, index: Any) -> Any:
@@ -296,18 +344,22 @@ def yaml_value(text: str) -> Any:
                 raise InvalidInputError(f"key {twice!r} occurs twice")
             return super().construct_mapping(node, deep)
 
+    def with_unit(loader: Any, node: Any) -> float:
+        number = loader.construct_scalar(node)
+        try:
+            return float(number) * YAML_UNITS[node.tag]
+        except (TypeError, ValueError) as error:
+            raise InvalidInputError(
+                f"{node.tag} has {shown(number)}; write a number, such as {node.tag} 90.0"
+            ) from error
+
+    for tag in YAML_UNITS:
+        Loader.add_constructor(tag, with_unit)
+    Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", Loader.construct_yaml_map)
     # YAML 1.1 reads 1e-3 as text
     number = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
     Loader.add_implicit_resolver("tag:yaml.org,2002:float", number, list("-+.0123456789"))
-    text = re.sub(r"(?m)(^(---|\.\.\.)[ \t]*\r?\n?)+\Z", "", text)
-    try:
-        return yaml.load(text, Loader)
-    except yaml.composer.ComposerError as error:
-        if "single document" not in str(error):
-            raise
-        raise InvalidInputError(
-            "it has more than a single document; keep one, and remove the others with their '---'"
-        ) from error
+    return Loader
 
 
 def differences(before: object, now: object, name: str = "") -> list[str]:

@@ -1,31 +1,50 @@
-"""Positions of joints in ROS's JointState, the message of the topic /joint_states."""
+"""ROS's JointState messages: values of joints by name."""
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping
 from typing import Any
 
-from cvqmpt_lab.base.errors import InvalidInputError, few, known_fields, unique
+from cvqmpt_lab.base.errors import InvalidInputError, few, known_fields, shown, unique
 from cvqmpt_lab.base.readers import listed
+from cvqmpt_lab.base.values import scalar
+
+log = logging.getLogger("cvqmpt")
 
 
-def positions_by_joint(
-    message: Mapping[str, Any], joints: Sequence[str], where: str
-) -> dict[str, Any]:
-    """Return the positions [rad or m] in a JointState by joint; others are left out with a note.
+def is_joint_state(value: Any) -> bool:
+    """Return whether a value is a JointState, or a RobotState, which holds one."""
+    return isinstance(value, Mapping) and (
+        "joint_state" in value or {"name", "position"} <= {*value}
+    )
 
-    Args:
-        message: fields of the message, with lists `name` and `position`.
-        joints: names of the joints that are wanted.
-        where: the field's name in errors.
-    """
-    known_fields(message, where, ("header", "name", "position", "velocity", "effort"))
-    names, values = (listed(message[key], f"{where}.{key}") for key in ("name", "position"))
+
+def joint_state_values(message: Any, where: str) -> dict[str, float]:
+    """Return the positions [rad or m] of a JointState by joint; errors begin with `where`."""
+    fields = known_fields(
+        {} if message is None else message,
+        where,
+        ("header", "name", "position", "velocity", "effort"),
+    )
+    names = [str(name) for name in listed(fields.get("name"), f"{where}.name")]
+    unique(names, f"{where}.name")
+    values = listed(fields.get("position"), f"{where}.position")
     if len(names) != len(values):
         raise InvalidInputError(f"{where} has {len(names)} names and {len(values)} positions")
-    unique([str(name) for name in names], f"{where}.name")
-    found = dict(zip(map(str, names), values, strict=True))
-    if others := [name for name in found if name not in joints]:
-        logging.getLogger("cvqmpt").warning(
-            f"{where} has joints that are not planned, which are left out: {few(others)}"
+    return {
+        name: float(scalar(float, value, f"{where}: {name}"))
+        for name, value in zip(names, values, strict=True)
+    }
+
+
+def of_joints(message: Any, joints: Collection[str], where: str) -> dict[str, float]:
+    """Return the values of some joints in a JointState or RobotState; a note names the others."""
+    state = message.get("joint_state", message)
+    values = joint_state_values(state, where)
+    if not values.keys() & {*joints}:
+        raise InvalidInputError(
+            f"{where} has joints {few(map(shown, values)) or 'none'}; the robot has "
+            f"{', '.join(joints)}"
         )
-    return {name: value for name, value in found.items() if name in joints}
+    if others := [name for name in values if name not in joints]:
+        log.warning(f"{where}: {few(others)} are left out, they are not planned")
+    return {name: value for name, value in values.items() if name in joints}

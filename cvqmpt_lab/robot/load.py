@@ -39,7 +39,7 @@ from cvqmpt_lab.robot.joint_limits_file import (
     narrow_positions,
     read_joint_limits,
 )
-from cvqmpt_lab.robot.joint_states import positions_by_joint
+from cvqmpt_lab.robot.joint_states import is_joint_state, of_joints
 from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.mechanism import (
     ArticulatedObject,
@@ -47,6 +47,7 @@ from cvqmpt_lab.robot.mechanism import (
     placed_frames,
     with_articulated_object,
 )
+from cvqmpt_lab.robot.reach import note_on_reach
 from cvqmpt_lab.robot.robot import (
     LIMIT_UNITS,
     Follower,
@@ -73,8 +74,6 @@ from cvqmpt_lab.robot.urdf import (
     read_urdf,
 )
 from cvqmpt_lab.robot.urdf_bodies import Prepared, prepare_bodies
-
-MAX_REACH_M = 10.0  # from the origin; the kernels' distance grid then takes 125 MB
 
 
 class StateForm(Array):
@@ -316,23 +315,22 @@ def _built(source: Mapping[str, Any], free: Sequence[str] = ()) -> Robot:
         speeds = positive_per_joint("velocity", velocities, names, LIMIT_UNITS["velocity"])
         for j, speed in zip(own.tolist(), speeds.tolist(), strict=True):
             model.upperVelocityLimit[j] = speed
+    known_limits = {key.removesuffix("_limits"): given.limits[key] for key in given.limits}
+    if known_limits["effort"] is None and any("effort" in stated.get(name, {}) for name in names):
+        # the URDF's, where they are plausible
+        known_limits["effort"] = np.where(np.isinf(plausible), np.nan, plausible)
     limits = {
         kind: positive_per_joint(kind, values, names, LIMIT_UNITS[kind])
         for kind, values in (
-            (kind, limits_with(kind, given.limits[f"{kind}_limits"], stated, names))
-            for kind in (key.removesuffix("_limits") for key in given.limits)
+            (kind, limits_with(kind, known_limits[kind], stated, names)) for kind in known_limits
         )
         # limits of the source have no entries for `free` joints
         if values is not None and not free
     }
     body_frames = [frame for frame in model.frames if frame.type == pin.FrameType.BODY]
     standing = {frame.name for frame in body_frames if frame.parentJoint == 0}
-<<<<<<< HEAD
-    remarks = bodies.notes
-    end_effectors, tool_links = given.end_effectors, tuple[str, ...]()
-=======
     remarks = urdf.notes + bodies.notes
->>>>>>> w1
+    end_effectors, tool_links = given.end_effectors, tuple[str, ...]()
     if given.tool is not None:
         name, line = add_tool(model, given.end_effector, given.tool)
         end_effectors, tool_links, remarks = (name,), given.end_effectors, (*remarks, line)
@@ -357,17 +355,7 @@ def _built(source: Mapping[str, Any], free: Sequence[str] = ()) -> Robot:
         files=tuple({**read, **meshes}.items()),
         continuous=tuple(name for name in names if urdf.joints[name].kind == "continuous"),
     )
-    if robot.reach > MAX_REACH_M:
-        far = [
-            f"joint {joint.name!r} slides to {max(-joint.lower, joint.upper):g} m"
-            for joint in urdf.joints.values()
-            if joint.kind == "prismatic" and max(-joint.lower, joint.upper) > MAX_REACH_M / 2
-        ]
-        raise InvalidInputError(
-            f"{urdf.path.name} reaches {robot.reach:.3g} m from the origin, because "
-            f"{', '.join(far) or 'its links or base lie far away'}: at most {MAX_REACH_M:g} m; are "
-            "all lengths in metres?"
-        )
+    far = note_on_reach(robot, urdf)
     left_out = left_out_pairs(model, geometry, robot.links, robot.kinematics, urdf, given.srdf)
     pairs = checked_pairs(model, geometry, left_out)
     off = default_off(srdf_root(Path(given.srdf)))[0] if given.srdf else set()
@@ -376,7 +364,13 @@ def _built(source: Mapping[str, Any], free: Sequence[str] = ()) -> Robot:
         replace(piece, self_only=True) if owner in off else piece
         for piece, owner in zip(robot.links, owners, strict=True)
     )
-    return replace(robot, links=links, self_collision_pairs=pairs, left_out_pairs=left_out)
+    return replace(
+        robot,
+        links=links,
+        self_collision_pairs=pairs,
+        left_out_pairs=left_out,
+        remarks=remarks + far,
+    )
 
 
 def _within_soft_limits(model: pin.Model, urdf: Urdf, planned: Sequence[str]) -> tuple[str, ...]:
@@ -529,8 +523,8 @@ def numbers_of(robot: Robot, value: Any, where: str) -> Any:
 
     Args:
         robot: the robot.
-        value: {"joint": number}, ROS's JointState or the name of a group_state of its SRDF; any
-            other value is returned unchanged.
+        value: {"joint": number}, a JointState message or the name of a group_state of its SRDF;
+            any other value is returned unchanged.
         where: the field's name in errors.
     """
     if isinstance(value, str):
@@ -543,8 +537,8 @@ def numbers_of(robot: Robot, value: Any, where: str) -> Any:
         value = {name: number for name, number in states[value].items() if name in known}
     if not isinstance(value, Mapping):
         return value
-    if {"name", "position"} <= value.keys():
-        value = positions_by_joint(value, robot.joint_names, where)
+    if is_joint_state(value):
+        value = of_joints(value, robot.joint_names, where)
     for name in value:
         require_choice(f"joint of {where}", name, robot.joint_names)
     missing = [name for name in robot.joint_names if name not in value]

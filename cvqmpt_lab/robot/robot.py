@@ -403,10 +403,36 @@ class Robot:
             distance[j + 1] = distance[k.parent[j]] + np.linalg.norm(k.translation[j]) + slides[j]
         return frozen(distance)
 
+    @property
+    def _farthest_in_boxes(self) -> np.ndarray:
+        """Bounds (p,) as `farthest`, nearer for robots with several sliders [m].
+
+        Sliders behind the base or behind a hinge keep the orientation of its frame: the origins
+        that they move stay in a box of this frame, whose farthest corner is nearer than the sum of
+        all strokes.
+        """
+        k = self.kinematics
+        if np.count_nonzero(k.prismatic) < 2:
+            return self.farthest
+        ends = k.joint_values(np.stack([k.lower, k.upper]))
+        distance, start = np.zeros((2, len(k.parent) + 1))  # start: of the frame of the box
+        turns, boxes = [np.eye(3)], [np.zeros((2, 3))]
+        for j, parent in enumerate(k.parent):
+            turn, box = turns[parent] @ k.rotation[j], boxes[parent]
+            box = box + turns[parent] @ k.translation[j]
+            if k.prismatic[j]:
+                strokes = ends[:, j, None] * turn[:, 2]
+                box = box + np.stack([strokes.min(axis=0), strokes.max(axis=0)])
+            distance[j + 1] = start[parent] + np.linalg.norm(np.abs(box).max(axis=0))
+            start[j + 1] = start[parent] if k.prismatic[j] else distance[j + 1]
+            turns.append(turn if k.prismatic[j] else np.eye(3))
+            boxes.append(box if k.prismatic[j] else np.zeros((2, 3)))
+        return distance
+
     @cached_property
     def reach(self) -> float:
         """Radius [m] of a ball around the base that contains all moving links and end effectors."""
-        distance = self.farthest
+        distance = self._farthest_in_boxes
         ends = [distance[row] + np.linalg.norm(T[:3, 3]) for row, T in self.hands.values()]
         ends += [
             distance[piece.link] + np.linalg.norm(piece.vertices_in_link, axis=1).max()

@@ -17,7 +17,8 @@ from cvqmpt_lab.base.poses import Pose, rigid
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.features.motion.frame_speeds import FrameSpeeds
 from cvqmpt_lab.robot.kinematics import link_poses
-from cvqmpt_lab.robot.load import MAX_REACH_M, load_robot, robot_from_source, with_gripper
+from cvqmpt_lab.robot.load import load_robot, robot_from_source, with_gripper
+from cvqmpt_lab.robot.reach import USUAL_REACH_M
 from cvqmpt_lab.robot.source import ARMS
 from cvqmpt_lab.scene.scene import pose
 
@@ -374,7 +375,7 @@ def test_options_given_with_the_name_of_an_arm_override_those_of_the_arm():
     for name in ("ur5", "xarm7", "so-arm", "talos-left-arm"):
         robot = robot_from_source({"name": name})
         assert robot.end_effector == ARMS[name].end_effector and 5 <= robot.dof <= 8
-        assert (robot.upper > robot.lower).all() and 0.4 < robot.reach < MAX_REACH_M
+        assert (robot.upper > robot.lower).all() and 0.4 < robot.reach < USUAL_REACH_M
         states = robot.random_configurations(np.random.default_rng(0), 20)
         assert all(np.linalg.norm(robot.pose(q)[:3, 3]) <= robot.reach for q in states)
     source = {"name": "ur5", "locked": {"elbow_joint": 1.0}, "end_effector": "ee_link"}
