@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from cvqmpt_lab.base.codec import from_plain
+from cvqmpt_lab.base.convex_pieces import convex_pieces
 from cvqmpt_lab.base.errors import (
     InvalidInputError,
     UnknownChoiceError,
@@ -27,7 +28,7 @@ from cvqmpt_lab.base.poses import Placement, ros_vector
 from cvqmpt_lab.base.readers import field_of, listed, read_by_suffix
 from cvqmpt_lab.base.values import FloatArray, numbers, scalar
 from cvqmpt_lab.robot.source import mesh_path
-from cvqmpt_lab.scene.mesh_files import MAX_TRIANGLES, convex_pieces, read_mesh
+from cvqmpt_lab.scene.mesh_files import MAX_TRIANGLES, read_mesh
 from cvqmpt_lab.scene.scene import Scene, SceneObject, log
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, Shape, Sphere
 
