@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 import trimesh
 from scipy import ndimage
-from scipy.spatial import ConvexHull
+from scipy.spatial import ConvexHull, HalfspaceIntersection
 
 from cvqmpt_lab.base.convex import (
     MIN_THICKNESS_M,
@@ -302,6 +302,25 @@ def hull_gap(triangles: FloatArray) -> float:
     """
     whole = _whole(triangles)
     return whole.solid.gap(whole.hull)
+
+
+def polytope_around(points: FloatArray, most_planes: int) -> tuple[FloatArray, float]:
+    """Return corners (k, 3) of a polytope around points (n, 3), and how far it extends beyond [m].
+
+    It has at most `most_planes` of the planes of the points' hull, moved outwards for rounding. The
+    number is the largest distance of its corners from that hull.
+    """
+    hull = ConvexHull(points)
+    planes = planes_around(hull, most_vertices=0, most_planes=most_planes)
+    middle = hull.points[hull.vertices].mean(axis=0)
+    corners = HalfspaceIntersection(planes, middle).intersections
+    corners = corners[ConvexHull(corners).vertices]
+    triangles = hull.points[hull.simplices]
+    beyond = 0.0
+    for corner in corners:
+        nearest = trimesh.triangles.closest_point(triangles, np.tile(corner, (len(triangles), 1)))
+        beyond = max(beyond, float(np.linalg.norm(nearest - corner, axis=1).min()))
+    return corners, beyond
 
 
 def _whole(triangles: FloatArray) -> Piece:

@@ -1,4 +1,4 @@
-"""Meshes of STL, OBJ and DAE files as convex pieces that contain the surface and a closed inside."""
+"""Meshes of STL, OBJ and DAE files as convex pieces that contain surface and closed inside."""
 
 import io
 import re
