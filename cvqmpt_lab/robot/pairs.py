@@ -18,12 +18,10 @@ import pinocchio as pin
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.base.files import read_xml
 from cvqmpt_lab.robot.kinematics import Kinematics, link_poses
-from cvqmpt_lab.robot.robot import LeftOut, LinkGeometry, Robot
+from cvqmpt_lab.robot.robot import OVERLAP, LeftOut, LinkGeometry, Robot
 from cvqmpt_lab.robot.source import read_source
 from cvqmpt_lab.robot.urdf import Urdf
 
-# start of the reason why a pair is not checked: overlap in a share of random configurations
-OVERLAP = "overlap in "
 SAMPLES = 2000  # number of random configurations in which a pair that is left out overlaps
 CONTACT_M = 1e-6  # distance that counts as overlap; with 0, coal misses 1.3 mm
 
