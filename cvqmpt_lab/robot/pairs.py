@@ -231,11 +231,15 @@ class Overlap(NamedTuple):
     second: str
     share: float  # of random configurations
     at_zero: bool  # whether they overlap where all joints are 0, or as near to it as limits allow
+    slide: bool  # whether one only slides against the other
 
     @property
     def by_design(self) -> bool:
-        """Whether the links may well be nested: they overlap at zero, or very often."""
-        return self.at_zero or self.share >= 0.2
+        """Whether the links may well be nested.
+
+        A share of 0.2 alone is usual for links that hit each other, e.g. base and upper arm of ur5.
+        """
+        return self.share >= 0.5 or (self.at_zero and (self.slide or self.share >= 0.2))
 
     def __str__(self) -> str:
         zero = " and where all joints are 0" if self.at_zero else ""
@@ -243,7 +247,7 @@ class Overlap(NamedTuple):
         return f"{self.first} and {self.second} overlap in {share}{zero}"
 
 
-def overlaps(robot: Robot, wanted: Pair | None = None, samples: int = 400) -> list[Overlap]:
+def overlaps(robot: Robot, wanted: Pair | None = None, samples: int = 200) -> list[Overlap]:
     """Return how often checked links overlap, most often first; those that never do are left out.
 
     Args:
@@ -261,8 +265,18 @@ def overlaps(robot: Robot, wanted: Pair | None = None, samples: int = 400) -> li
     )
     states = np.vstack([bodies.zero, bodies.states(samples)])
     hits = _touching(bodies, list(pairs), states) if pairs else {}
-    found = [Overlap(*pair, hit[1:].mean(), bool(hit[0])) for pair, hit in hits.items()]
+    found = [
+        Overlap(*pair, float(hit[1:].mean()), bool(hit[0]), _slide(bodies, pair))
+        for pair, hit in hits.items()
+    ]
     return sorted((one for one in found if one.share or one.at_zero), key=lambda one: -one.share)
+
+
+def _slide(bodies: Bodies, pair: Pair) -> bool:
+    """Return whether all joints between two links are prismatic."""
+    objects, supports = bodies.geometry.geometryObjects, bodies.model.supports
+    a, b = (set(supports[objects[bodies.pieces[link][0]].parentJoint]) for link in pair)
+    return all(bodies.kinematics.prismatic[j - 1] for j in a ^ b)
 
 
 def bodies_of(robot: Robot) -> Bodies:
@@ -270,31 +284,44 @@ def bodies_of(robot: Robot) -> Bodies:
     return Bodies(robot.model, robot.collision_model, robot.links, robot.kinematics)
 
 
-def cure_of_overlap(robot: Robot, found: Sequence[Overlap], most: int = 3) -> str:
-    """Return how often links overlap, and what leaves these pairs out; "" without one."""
+def cure_of_overlap(robot: Robot, pieces: Pair | None = None, most: int = 3) -> str:
+    """Return which checked links overlap by design, and what leaves such pairs out; "" if none do.
+
+    Args:
+        robot: the robot.
+        pieces: names of two pieces whose links alone are meant; None: all links.
+        most: number of pairs that are named.
+    """
+    found = [one for one in overlaps(robot, pieces) if one.by_design]
     if not found:
         return ""
     more = f" and {len(found) - most} more pairs" if len(found) > most else ""
-    said = ", ".join(map(str, found[:most])) + more
-    name = Path(robot.name.partition("+")[0]).name or "robot"
+    command, own = command_of(robot), robot.source.get("srdf")
+    file = (robot.name.partition("+")[0].replace("/", "_") or "robot") + ".srdf"
+    begin = command
+    if own:
+        begin, file = f"{command} --srdf {own}", f"more_{file}"
     return (
-        f"{said}; if they may (telescopes, nested covers), {command_for_srdf(robot, name)} writes "
-        f"an SRDF that leaves such pairs out: read it, then give --srdf {name}.srdf, in a problem "
-        "file 'srdf' of 'robot'"
+        f"{', '.join(map(str, found[:most]))}{more}; if they are built so (a telescope, a cover), "
+        f"`{begin} --out {file}` writes an SRDF that leaves out such pairs; read it, then write "
+        f'"srdf": "{file}" in \'robot\' of the problem file, or `{command} --srdf {file} --out '
+        "robot.json` for --robot robot.json"
     )
 
 
-def command_for_srdf(robot: Robot, name: str) -> str:
-    """Return the command that writes `srdf_text` of a robot to NAME.srdf."""
+def command_of(robot: Robot) -> str:
+    """Return the command `cvqmpt robot` with what a robot's collision bodies depend on."""
     given = read_source(robot.source)
-    words = [given.name or given.urdf]
+    path = Path(given.urdf)
+    near = path.is_relative_to(Path.cwd())
+    words = [given.name or str(path.relative_to(Path.cwd()) if near else path)]
     words += [f"--package-dir {folder}" for folder in given.package_dirs]
-    words += [f"--srdf {given.srdf}"] if given.srdf else []
     words += ["--visual-as-collision"] if given.visual_as_collision else []
     words += ["--skip-missing-meshes"] if given.skip_missing_meshes else []
-    if len(given.end_effectors) == 1 and not given.name:
-        words.append(f"--end-effector {given.end_effector}")
-    return f"`cvqmpt robot {' '.join(words)} --out {name}.srdf`"
+    if not given.name:
+        several = "s" if len(given.end_effectors) > 1 else ""
+        words.append(f"--end-effector{several} {' '.join(given.end_effectors)}")
+    return f"cvqmpt robot {' '.join(words)}"
 
 
 def srdf_text(robot: Robot) -> str:
