@@ -17,6 +17,7 @@ from cvqmpt_lab.cli.problem_arguments import robot_options, source_named
 from cvqmpt_lab.cli.problem_options import ROBOT_DETAILS
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.robot.dynamics import without_effort_limit
+from cvqmpt_lab.robot.link_pieces import hull_gaps
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.pairs import cure_of_overlap, srdf_text
 from cvqmpt_lab.robot.robot import OVERLAP, FrameLimit, Robot
@@ -110,6 +111,7 @@ def describe(robot: Robot, tried: int = 200) -> dict[str, Any]:
             [robot.links[i].name, robot.links[k].name] for i, k in robot.self_collision_pairs
         ],
         "left_out_pairs": [[p.first, p.second, p.reason] for p in robot.left_out_pairs],
+        "hulls_beyond_meshes_m": hull_gaps(robot),
         "links_without_body": list(robot.bodiless),
         "notes": robot.notes,
         "share_free_of_self_collision": float(1.0 - collide.mean()),
@@ -158,6 +160,9 @@ def entries(robot: Robot, model: dict[str, Any], guesses: list[str]) -> Iterator
         )
     yield ("frames", f"{len(model['frames'])}: {_listed(model['frames'])}")
     yield ("pieces", f"{len(robot.links)}: {_listed([piece.name for piece in robot.links])}")
+    if gaps := model["hulls_beyond_meshes_m"]:
+        largest = [f"{name} {1e3 * gap:.0f} mm" for name, gap in gaps.items()]
+        yield ("hulls", f"extend beyond their meshes by about: {_listed(largest)}")
     reasons = Counter(pair.reason for pair in robot.left_out_pairs)
     left_out = ", ".join(f"{count} {reason}" for reason, count in reasons.items()) or "none"
     yield (

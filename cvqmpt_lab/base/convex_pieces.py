@@ -88,7 +88,8 @@ class FilledCells:
         empty = self._share == 0.0
         away = self._cell * ndimage.distance_transform_edt(empty)
         cells = np.argwhere(empty)
-        for plane in planes_around(hull):
+        # the few planes leave few cells for the many
+        for plane in (*planes_around(hull), *hull.equations):
             heights = (self._low + self._cell * cells) @ plane[:3] + plane[3]
             cells = cells[heights <= 0.0]
         return float(away[tuple(cells.T)].max(initial=0.0))

@@ -25,12 +25,15 @@ from cvqmpt_lab.robot.hulls import (
     coal_hull,
     link_geometry,
     made_of,
+    take_meshes,
     triangles_of_file,
 )
 from cvqmpt_lab.robot.kinematics import Kinematics
-from cvqmpt_lab.robot.pairs import Bodies, always_overlapping, by_structure
-from cvqmpt_lab.robot.robot import axis_frames
-from cvqmpt_lab.robot.urdf import Urdf
+from cvqmpt_lab.robot.pairs import CUT, RESTING_M, Bodies, always_overlapping, by_structure
+from cvqmpt_lab.robot.robot import Robot, axis_frames
+from cvqmpt_lab.robot.source import content_digest, find_collision_meshes, read_source
+from cvqmpt_lab.robot.urdf import Urdf, one_coordinate_a_joint, read_urdf
+from cvqmpt_lab.robot.urdf_bodies import prepare_bodies
 
 STANDING_GAP_M = 0.005
 MOVING_GAP_M = 0.05  # arms by name: UR 0.037, Kinova 0.031, xArm 7 0.051, SO-ARM 0.031
@@ -69,7 +72,8 @@ def cut_concave_links(
         bodies = Bodies(model, made, links, kinematics)
         known = by_structure(bodies, urdf)
         others = [pair for pair in combinations(bodies.pieces, 2) if pair not in known]
-        nested = {link for pair in always_overlapping(bodies, others, 50) for link in pair}
+        always = always_overlapping(bodies, bodies.of_links(others), 50, RESTING_M)
+        nested = {link for pair in always for link in pair}
         names = [name for name in meshes if name.rpartition("_")[0] in nested]
         if nested:
             made, counts = with_pieces(geometry, meshes, gaps, digests, names)
@@ -113,7 +117,7 @@ def with_pieces(
         counts[item.name] = len(shapes)
         for k, points in enumerate(shapes):
             carrier = item.parentJoint, item.parentFrame, item.placement
-            piece = pin.GeometryObject(f"{item.name}.{k}", *carrier, coal_hull(points))
+            piece = pin.GeometryObject(f"{item.name}{CUT}{k}", *carrier, coal_hull(points))
             made.addGeometryObject(piece)
     return made, counts
 
@@ -139,6 +143,24 @@ def gaps_of_meshes(meshes: Iterable[MeshFile], digests: Mapping[str, str]) -> di
     key = made_of(listed, digests, _sources())
     found = cached_arrays("hull_gaps", key, make, lambda arrays: len(arrays) == len(listed))
     return {mesh: float(found[str(k)]) for k, mesh in enumerate(listed)}
+
+
+def hull_gaps(robot: Robot) -> dict[str, float]:
+    """Return how far hulls of a robot's meshes extend beyond them [m], by piece, largest first.
+
+    Meshes in convex pieces are left out.
+    """
+    given = read_source(robot.source)
+    urdf = read_urdf(Path(given.urdf), given.package_dirs)
+    root = one_coordinate_a_joint(urdf)
+    prepare_bodies(root, urdf.path, given.visual_as_collision)
+    folders = [Path(folder) for folder in given.package_dirs]
+    paths, _ = find_collision_meshes(root, urdf.path, folders, given.skip_missing_meshes)
+    whole = {piece.name for piece in robot.links}
+    meshes = {name: mesh for name, mesh in take_meshes(root).items() if name in whole}
+    gaps = gaps_of_meshes(meshes.values(), {path: content_digest(path) for path in paths})
+    found = {name: gaps[mesh] for name, mesh in meshes.items()}
+    return dict(sorted(found.items(), key=lambda item: -item[1]))
 
 
 def pieces_of_meshes(

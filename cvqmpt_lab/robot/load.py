@@ -317,7 +317,8 @@ def _built(source: Mapping[str, Any], free: Sequence[str] = ()) -> Robot:
     standing = {frame.name for frame in body_frames if frame.parentJoint == 0}
     remarks = bodies.notes
     # results of arms by name depend on their hulls
-    if not given.name and not given.one_hull_a_mesh:
+    hulls_alone = bool(given.name) or given.one_hull_a_mesh
+    if not hulls_alone:
         concave = urdf, given.srdf, meshes, files
         geometry, notes = cut_concave_links(model, geometry, kinematics, *concave)
         remarks += tuple(notes)
@@ -358,7 +359,7 @@ def _built(source: Mapping[str, Any], free: Sequence[str] = ()) -> Robot:
             f"{', '.join(far) or 'its links or base lie far away'}: at most {MAX_REACH_M:g} m; are "
             "all lengths in metres?"
         )
-    left_out = left_out_pairs(bodies_of(robot), urdf, given.srdf)
+    left_out = left_out_pairs(bodies_of(robot), urdf, given.srdf, hulls_alone)
     pairs = checked_pairs(model, geometry, left_out)
     off = default_off(srdf_root(Path(given.srdf)))[0] if given.srdf else set()
     owners = [model.frames[item.parentFrame].name for item in geometry.geometryObjects]

@@ -3,14 +3,15 @@
 An SRDF lists the pairs that are not checked. Without an SRDF, a pair is left out if its links are
 fixed to each other, if they are neighbours (one joint and no other body is between them), or if
 they overlap in every random configuration and where all joints are 0: no motion could be planned
-if such a pair were checked. The result depends on the robot alone.
+if such a pair were checked. Of a concave mesh in pieces, only the pieces that overlap so are left
+out. The result depends on the robot alone.
 """
 
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import combinations
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 import pinocchio as pin
@@ -24,8 +25,15 @@ from cvqmpt_lab.robot.urdf import Urdf
 
 SAMPLES = 2000  # number of random configurations in which a pair that is left out overlaps
 CONTACT_M = 1e-6  # distance that counts as overlap; with 0, coal misses 1.3 mm
+# the same for pieces of meshes: a base that stands on the middle piece of a floor is beside others
+RESTING_M = 1e-3
 
-Pair = tuple[str, str]
+ALWAYS = f"{OVERLAP}100 % of random states"
+CUT = "."  # stands in the name of a piece of a mesh before its number
+
+Pair = tuple[str, str]  # names of links or pieces
+Numbers = tuple[int, int]  # of two pieces
+Key = TypeVar("Key", Pair, Numbers)
 
 
 class Bodies(NamedTuple):
@@ -44,6 +52,16 @@ class Bodies(NamedTuple):
             found.setdefault(self.model.frames[item.parentFrame].name, []).append(k)
         return found
 
+    def of_links(self, pairs: Iterable[Pair]) -> dict[Pair, list[Numbers]]:
+        """Return the pairs of pieces of pairs of links."""
+        own = self.pieces
+        return {pair: [(i, k) for i in own[pair[0]] for k in own[pair[1]]] for pair in pairs}
+
+    def names(self, numbers: Numbers) -> Pair:
+        """Return the names of two pieces."""
+        i, k = numbers
+        return self.geometry.geometryObjects[i].name, self.geometry.geometryObjects[k].name
+
     @property
     def zero(self) -> np.ndarray:
         """Configuration (n,) nearest to 0 within the limits [rad or m]."""
@@ -55,24 +73,54 @@ class Bodies(NamedTuple):
         return np.random.default_rng(0).uniform(lower, upper, (count, len(lower)))
 
 
-def left_out_pairs(bodies: Bodies, urdf: Urdf, srdf: str) -> tuple[LeftOut, ...]:
+def left_out_pairs(bodies: Bodies, urdf: Urdf, srdf: str, whole_links: bool) -> tuple[LeftOut, ...]:
     """Return the link pairs that are not checked: from an SRDF, else by the rule at the top.
 
     Args:
         bodies: those of the robot.
         urdf: content of the URDF.
         srdf: path of an SRDF, or "".
+        whole_links: whether all pieces of two links are left out when any of them always overlap.
     """
     pieces = bodies.pieces
+    every = list(combinations(pieces, 2))
     if srdf:
-        return _left_out_by_srdf(srdf_root(Path(srdf)), list(pieces))
+        listed = _left_out_by_srdf(srdf_root(Path(srdf)), list(pieces))
+        out = {frozenset(pair[:2]) for pair in listed}
+        rest = [pair for pair in every if frozenset(pair) not in out]
+        return listed if whole_links else (*listed, *_overlapping_cuts(bodies, rest))
     reasons = by_structure(bodies, urdf)
-    others = [pair for pair in combinations(pieces, 2) if pair not in reasons]
-    for pair in always_overlapping(bodies, others, SAMPLES):
-        reasons[pair] = f"{OVERLAP}100 % of random states"
-    return tuple(
-        LeftOut(*pair, reasons[pair]) for pair in combinations(pieces, 2) if pair in reasons
-    )
+    others = [pair for pair in every if pair not in reasons]
+    near = CONTACT_M if whole_links else RESTING_M
+    always = always_overlapping(bodies, bodies.of_links(others), SAMPLES, near)
+    alone = list[LeftOut]()
+    for pair in always:
+        parts = [] if whole_links else _overlapping_parts(bodies, pair)
+        alone += parts
+        if not parts:
+            reasons[pair] = ALWAYS
+    return (*(LeftOut(*pair, reasons[pair]) for pair in every if pair in reasons), *alone)
+
+
+def _overlapping_parts(bodies: Bodies, pair: Pair) -> list[LeftOut]:
+    """Return the pairs of pieces of two links that always overlap.
+
+    None are returned if the other pieces, too, leave no configuration free, or there are none.
+    """
+    both = bodies.of_links([pair])[pair]
+    always = always_overlapping(bodies, {one: [one] for one in both}, SAMPLES, RESTING_M)
+    rest = {pair: [one for one in both if one not in always]}
+    if not rest[pair] or always_overlapping(bodies, rest, SAMPLES, RESTING_M):
+        return []
+    return [LeftOut(*bodies.names(one), ALWAYS) for one in always]
+
+
+def _overlapping_cuts(bodies: Bodies, pairs: Sequence[Pair]) -> list[LeftOut]:
+    """Return the pairs of pieces of cut meshes that always overlap: an SRDF cannot name them."""
+    found = [one for both in bodies.of_links(pairs).values() for one in both]
+    cut = [one for one in found if any(CUT in name for name in bodies.names(one))]
+    always = always_overlapping(bodies, {one: [one] for one in cut}, SAMPLES, RESTING_M)
+    return [LeftOut(*bodies.names(one), ALWAYS) for one in always]
 
 
 def by_structure(bodies: Bodies, urdf: Urdf) -> dict[Pair, str]:
@@ -97,15 +145,23 @@ def by_structure(bodies: Bodies, urdf: Urdf) -> dict[Pair, str]:
     return reasons
 
 
-def always_overlapping(bodies: Bodies, pairs: Sequence[Pair], samples: int) -> list[Pair]:
-    """Return the pairs of links that overlap in all random configurations and where joints are 0.
+def always_overlapping(
+    bodies: Bodies, pairs: Mapping[Key, Sequence[Numbers]], samples: int, near: float
+) -> list[Key]:
+    """Return what overlaps in all random configurations and where joints are 0.
 
     Most pairs are dismissed after a few configurations.
+
+    Args:
+        bodies: those of the robot.
+        pairs: numbers of pairs of pieces, in groups; a group overlaps if one of its pairs does.
+        samples: number of random configurations.
+        near: distance that counts as overlap [m].
     """
     states = np.vstack([bodies.zero, bodies.states(samples)])
     for part in (states[:11], states[:51], states):
-        hits = _touching(bodies, pairs, part)
-        pairs = [pair for pair, hit in hits.items() if hit.all()]
+        hits = _touching(bodies, pairs, part, near)
+        pairs = {key: pairs[key] for key, hit in hits.items() if hit.all()}
     return list(pairs)
 
 
@@ -171,28 +227,35 @@ def checked_pairs(
     """Set the pairs of pieces that the geometry model checks; return their indices."""
     skipped = {frozenset((pair.first, pair.second)) for pair in left_out}
     names = [model.frames[item.parentFrame].name for item in geometry.geometryObjects]
+    own = [item.name for item in geometry.geometryObjects]
     geometry.addAllCollisionPairs()
     every = [(int(pair.first), int(pair.second)) for pair in geometry.collisionPairs]
-    kept = tuple((i, k) for i, k in every if frozenset((names[i], names[k])) not in skipped)
+    kept = tuple(
+        (i, k)
+        for i, k in every
+        if frozenset((names[i], names[k])) not in skipped
+        and frozenset((own[i], own[k])) not in skipped
+    )
     geometry.removeAllCollisionPairs()
     for i, k in kept:
         geometry.addCollisionPair(pin.CollisionPair(i, k))
     return kept
 
 
-def _touching(bodies: Bodies, pairs: Sequence[Pair], states: np.ndarray) -> dict[Pair, np.ndarray]:
-    """Return (k,) bool by pair: do its links touch in each of states (k, n)?"""
+def _touching(
+    bodies: Bodies, pairs: Mapping[Key, Sequence[Numbers]], states: np.ndarray, near: float
+) -> dict[Key, np.ndarray]:
+    """Return (k,) bool by group: is a pair closer than `near` in each of states (k, n)?"""
     model, geometry, links, kinematics = bodies
-    pieces = bodies.pieces
     tested = pin.GeometryModel(geometry)
     tested.removeAllCollisionPairs()
-    indices = [(k, i, j) for k, (a, b) in enumerate(pairs) for i in pieces[a] for j in pieces[b]]
+    indices = [(n, i, j) for n, group in enumerate(pairs.values()) for i, j in group]
     for _, i, j in indices:
         tested.addCollisionPair(pin.CollisionPair(i, j))
     owner, first, second = np.array(indices, dtype=int).reshape(-1, 3).T
     data, tested_data = model.createData(), pin.GeometryData(tested)
     for request in tested_data.collisionRequests:
-        request.security_margin = CONTACT_M
+        request.security_margin = near
     # pieces whose balls are apart need no exact check
     rotations, translations = link_poses(kinematics, states)
     centres, radii = np.empty((len(states), len(links), 3)), np.empty(len(links))
@@ -204,7 +267,7 @@ def _touching(bodies: Bodies, pairs: Sequence[Pair], states: np.ndarray) -> dict
     for hit, q, centre in zip(hits, values, centres, strict=True):
         apart = np.linalg.norm(centre[first] - centre[second], axis=1)
         pin.updateGeometryPlacements(model, data, tested, tested_data, q)
-        for k in np.flatnonzero(apart <= radii[first] + radii[second] + CONTACT_M).tolist():
+        for k in np.flatnonzero(apart <= radii[first] + radii[second] + near).tolist():
             if not hit[owner[k]]:
                 hit[owner[k]] = pin.computeCollision(tested, tested_data, k)
     return dict(zip(pairs, hits.T, strict=True))
@@ -243,7 +306,7 @@ class Overlap(NamedTuple):
 
     def __str__(self) -> str:
         zero = " and where all joints are 0" if self.at_zero else ""
-        share = f"{100.0 * self.share:.3g} % of random states"
+        share = f"{100.0 * self.share:.0f} % of random states"
         return f"{self.first} and {self.second} overlap in {share}{zero}"
 
 
@@ -258,13 +321,13 @@ def overlaps(robot: Robot, wanted: Pair | None = None, samples: int = 200) -> li
     bodies = bodies_of(robot)
     owner = {k: link for link, own in bodies.pieces.items() for k in own}
     names = [piece.name for piece in robot.links]
-    pairs = dict.fromkeys(
-        (owner[i], owner[k])
-        for i, k in robot.self_collision_pairs
-        if wanted is None or {names[i], names[k]} == {*wanted}
-    )
+    pairs: dict[Pair, list[Numbers]] = {}
+    for i, k in robot.self_collision_pairs:
+        # pieces of a door have no link
+        if (wanted is None or {names[i], names[k]} == {*wanted}) and {i, k} <= owner.keys():
+            pairs.setdefault((owner[i], owner[k]), []).append((i, k))
     states = np.vstack([bodies.zero, bodies.states(samples)])
-    hits = _touching(bodies, list(pairs), states) if pairs else {}
+    hits = _touching(bodies, pairs, states, CONTACT_M)
     found = [
         Overlap(*pair, float(hit[1:].mean()), bool(hit[0]), _slide(bodies, pair))
         for pair, hit in hits.items()
@@ -334,20 +397,16 @@ def srdf_text(robot: Robot) -> str:
         frozenset((item.get("link1", ""), item.get("link2", "")))
         for item in root.findall("disable_collisions")
     }
-    out = [pair for pair in robot.left_out_pairs if not pair.reason.startswith("SRDF: ")]
-    out += [
-        LeftOut(one.first, one.second, str(one).partition(" and ")[2].partition(" ")[2])
-        for one in overlaps(robot)
-        if one.by_design
-    ]
+    links = bodies_of(robot).pieces
+    out = [pair for pair in robot.left_out_pairs if {pair.first, pair.second} <= links.keys()]
+    often = {(one.first, one.second): one for one in overlaps(robot) if one.by_design}
+    out += [LeftOut(*pair, "overlap by design") for pair in often]
     for pair in out:
-        if frozenset((pair.first, pair.second)) not in known:
-            ElementTree.SubElement(
-                root,
-                "disable_collisions",
-                link1=pair.first,
-                link2=pair.second,
-                reason=pair.reason,
-            )
+        if frozenset((pair.first, pair.second)) in known:
+            continue
+        if pair[:2] in often:
+            root.append(ElementTree.Comment(f" {often[pair[:2]]} "))
+        names = {"link1": pair.first, "link2": pair.second}
+        ElementTree.SubElement(root, "disable_collisions", names, reason=pair.reason)
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode") + "\n"
