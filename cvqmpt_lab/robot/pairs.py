@@ -306,7 +306,7 @@ class Overlap(NamedTuple):
 
     def __str__(self) -> str:
         zero = " and where all joints are 0" if self.at_zero else ""
-        share = f"{100.0 * self.share:.0f} % of random states"
+        share = f"{100.0 * self.share:.3g} % of random states"
         return f"{self.first} and {self.second} overlap in {share}{zero}"
 
 
