@@ -99,7 +99,6 @@ class Solution:
             ),
             *(("note", note) for note in self.problem.notes),
             *_left_out(self.left_out),
-            *(("left out", pairs) for pairs in [self.problem.robot.uncompared] if pairs),
             ("constraint", _bounds(self)),
             *_functions(self.problem),
             ("planner", f"{chosen}, {samples}" if planner else samples),
@@ -122,6 +121,8 @@ class Solution:
             lines.append(("optimize", _gain(self.improvement)))
         if self.certificate is not None:
             lines += _certificate(self.certificate)
+        if pairs := self.problem.robot.uncompared:
+            lines.append(("uncompared", pairs))
         return Report.of(lines, lambda: _data(self, planner, record(), why))
 
 

@@ -31,7 +31,6 @@ from cvqmpt_lab.robot.joint_limits_file import (
     read_joint_limits,
 )
 from cvqmpt_lab.robot.kinematics import link_poses
-from cvqmpt_lab.robot.link_pieces import cut_concave_links
 from cvqmpt_lab.robot.mechanism import ArticulatedObject, with_articulated_object
 from cvqmpt_lab.robot.pairs import (
     bodies_of,
@@ -319,6 +318,8 @@ def _built(source: Mapping[str, Any], free: Sequence[str] = ()) -> Robot:
     # results of arms by name depend on their hulls
     hulls_alone = bool(given.name) or given.one_hull_a_mesh
     if not hulls_alone:
+        from cvqmpt_lab.robot.link_pieces import cut_concave_links  # arms by name need none
+
         concave = urdf, given.srdf, meshes, files
         geometry, notes = cut_concave_links(model, geometry, kinematics, *concave)
         remarks += tuple(notes)
