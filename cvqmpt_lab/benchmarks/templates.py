@@ -22,6 +22,7 @@ from cvqmpt_lab.constraints.task_space_region import FREE, ROWS_TEXT, Axis, Task
 from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import robot_from_source
+from cvqmpt_lab.robot.pairs import cure_of_overlap
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.search.result import Budget
@@ -113,10 +114,11 @@ def problem_template(source: Mapping[str, Any]) -> dict[str, Any]:
                 blocked = layout is not TABLE_LAYOUTS[-1]
                 if _solved(PlanningProblem.from_dict(made), blocked):
                     return made
+    overlap = cure_of_overlap(robot)
     raise InvalidInputError(
         f"no start and goal were found for robot {robot.name} that keep {TEMPLATE_TILT_RAD} rad of "
-        "tilt and can be planned; write a problem by hand, `cvqmpt problems new` for the panda "
-        "shows how"
+        f"tilt and can be planned; {overlap}{'; or ' if overlap else ''}write a problem by hand, "
+        "`cvqmpt problems new` for the panda shows how"
     )
 
 

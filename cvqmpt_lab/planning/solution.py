@@ -121,6 +121,8 @@ class Solution:
             lines.append(("optimize", _gain(self.improvement)))
         if self.certificate is not None:
             lines += _certificate(self.certificate)
+        if pairs := self.problem.robot.uncompared:
+            lines.append(("uncompared", pairs))
         return Report.of(lines, lambda: _data(self, planner, record(), why))
 
 
@@ -242,6 +244,7 @@ def _data(
         "joints": list(problem.robot.joint_names),
         "goals": len(solution.goals),
         "goals_left_out": list(solution.left_out),
+        "pairs_left_out": [list(pair) for pair in problem.robot.left_out_pairs],
         "constraint": [vars(use) for use in solution.bound_uses],
         "planner": planner,
         "chosen_because": why,

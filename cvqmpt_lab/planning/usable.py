@@ -18,6 +18,7 @@ from cvqmpt_lab.constraints.region_constraint import functions_of
 from cvqmpt_lab.constraints.report import broken_bound
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, displacements
 from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.robot.pairs import cure_of_overlap
 from cvqmpt_lab.scene.scene import check_extent, refuse_far_poses
 
 
@@ -135,7 +136,9 @@ def _faults(
                 else ""
             )
             found = f"{label} is in collision: {checker.contact(q)}"
-            yield k, found, f"choose another configuration{gap}"
+            pair = checker.colliding_pair(q)
+            known = cure_of_overlap(problem.robot, (pair.first, pair.second)) if pair else ""
+            yield k, found, "; ".join(filter(None, (f"choose another configuration{gap}", known)))
         if off[k + 1]:
             yield k, *_off_manifold(problem, goals, label, q)
     if problem.goal_region is None:

@@ -41,6 +41,10 @@ class Follower(NamedTuple):
     offset: float  # [rad or m]
 
 
+# start of the reason why a pair is not checked: overlap in a share of random configurations
+OVERLAP = "overlap in "
+
+
 class LeftOut(NamedTuple):
     """Unchecked pair of links, or of a link and a piece of a door; and the reason.
 
@@ -58,6 +62,13 @@ class LeftOut(NamedTuple):
     def by_default(cls, first: str, second: str) -> "LeftOut":
         """Return a pair that an SRDF leaves out by the default of one of its links."""
         return cls(first, second, "SRDF: not compared by default")
+
+    @staticmethod
+    def named(pairs: "Sequence[LeftOut]") -> str:
+        """Return the first few pairs in words, those that overlap in every state before others."""
+        ordered = sorted(pairs, key=lambda pair: not pair.reason.startswith(OVERLAP))
+        names = (f"{pair.first} and {pair.second}" for pair in ordered)
+        return few(names, 3)
 
 
 @dataclass(frozen=True)
@@ -345,7 +356,21 @@ class Robot:
                 f"within the soft limits of {few(self.soft_limited)}; --hard-limits plans to the "
                 "others"
             )
+        always = [pair for pair in self.left_out_pairs if pair.reason.startswith(OVERLAP)]
+        if always:
+            notes.append(
+                f"compared by nobody, because they overlap in every random state: "
+                f"{LeftOut.named(always)}"
+            )
         return [*notes, *self.remarks]
+
+    @property
+    def uncompared(self) -> str:
+        """Pairs of links that nobody compares, in words; "" if all are compared."""
+        pairs = self.left_out_pairs
+        if not pairs:
+            return ""
+        return f"{len(pairs)} pairs of links, which nobody compares: {LeftOut.named(pairs)}"
 
     @property
     def velocity_limits(self) -> np.ndarray:

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from cvqmpt_lab.base.convex_pieces import convex_pieces
 from cvqmpt_lab.base.errors import (
     InvalidInputError,
     UnknownChoiceError,
@@ -29,7 +30,7 @@ from cvqmpt_lab.base.values import FloatArray, numbers
 from cvqmpt_lab.robot.joint_states import joint_state_values
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.robot.source import mesh_path
-from cvqmpt_lab.scene.mesh_files import MAX_TRIANGLES, convex_pieces, read_mesh
+from cvqmpt_lab.scene.mesh_files import MAX_TRIANGLES, read_mesh
 from cvqmpt_lab.scene.moveit_frames import (
     FixedTransform,
     fixed_transforms,

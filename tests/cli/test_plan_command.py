@@ -18,7 +18,9 @@ def test_plan_prints_a_report_and_writes_the_path(cvqmpt, problem_file, problem,
     out = tmp_path / "path.csv"
     words = f"plan {problem_file} --iterations 20000 --save {out}"
     lines = cvqmpt(words).splitlines()
-    heads = "problem constraint planner status time counts length certificate margin path"
+    heads = (
+        "problem constraint planner status time counts length certificate uncompared margin path"
+    )
     assert [line.split()[0] for line in lines] == heads.split()
     assert "clearance obstacles at least " in lines[7] and ", self at least " in lines[7]
     assert lines[3].split()[:2] == ["status", "solved"] and "certificate certified (" in lines[7]

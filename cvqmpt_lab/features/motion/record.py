@@ -211,6 +211,7 @@ def report_of(found: DryRun, contents: dict[str, Any]) -> Report:
     near = compared["obstacles"] - len(compared["out_of_reach"])
     reasons = Counter(pair["reason"] for pair in compared["left_out"])
     left = ", ".join(f"{count} {reason}" for reason, count in reasons.most_common())
+    left += f": {LeftOut.named([LeftOut(**pair) for pair in compared['left_out']])}" if left else ""
     lines += [
         (
             "constraint",

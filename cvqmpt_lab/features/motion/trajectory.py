@@ -16,7 +16,6 @@ through positions, velocities and accelerations, and these are certified.
 
 from __future__ import annotations
 
-import io
 import json
 import logging
 import math
