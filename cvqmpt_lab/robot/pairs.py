@@ -19,7 +19,8 @@ import pinocchio as pin
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.base.files import read_xml
 from cvqmpt_lab.robot.kinematics import Kinematics, link_poses
-from cvqmpt_lab.robot.robot import OVERLAP, LeftOut, LinkGeometry, Robot
+from cvqmpt_lab.robot.left_out import OVERLAP, LeftOut
+from cvqmpt_lab.robot.robot import LinkGeometry, Robot
 from cvqmpt_lab.robot.source import read_source
 from cvqmpt_lab.robot.urdf import Urdf
 
@@ -49,7 +50,8 @@ class Bodies(NamedTuple):
         """Numbers of the pieces of each link that has some, by the link's name."""
         found: dict[str, list[int]] = {}
         for k, item in enumerate(self.geometry.geometryObjects):
-            found.setdefault(self.model.frames[item.parentFrame].name, []).append(k)
+            if item.parentFrame < self.model.nframes:  # the pieces of a door have no link
+                found.setdefault(self.model.frames[item.parentFrame].name, []).append(k)
         return found
 
     def of_links(self, pairs: Iterable[Pair]) -> dict[Pair, list[Numbers]]:

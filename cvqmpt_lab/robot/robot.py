@@ -16,6 +16,7 @@ import pinocchio as pin
 from cvqmpt_lab.base.errors import InvalidInputError, UnknownChoiceError, few, require_choice
 from cvqmpt_lab.base.values import Condition, frozen
 from cvqmpt_lab.robot.kinematics import Kinematics
+from cvqmpt_lab.robot.left_out import OVERLAP, LeftOut
 
 
 def nearest_turn(angles: np.ndarray, reference: np.ndarray | float) -> np.ndarray:
@@ -39,36 +40,6 @@ class Follower(NamedTuple):
     leader: str  # the planned joint; in chains of joints that mimic others, the first one
     multiplier: float  # product along a chain of mimic joints
     offset: float  # [rad or m]
-
-
-# start of the reason why a pair is not checked: overlap in a share of random configurations
-OVERLAP = "overlap in "
-
-
-class LeftOut(NamedTuple):
-    """Unchecked pair of links, or of a link and a piece of a door; and the reason.
-
-    Reasons: "SRDF: " and the reason in the SRDF; "fixed to each other"; "also held by" (a load and
-    a second hand); "adjacent" (one joint between them); "overlap in N % of random states" (the
-    convex hulls are too large); "may touch" (hand and handle, named in the problem file); "casing"
-    (a door and its fixed frame).
-    """
-
-    first: str
-    second: str
-    reason: str  # one of those above
-
-    @classmethod
-    def by_default(cls, first: str, second: str) -> "LeftOut":
-        """Return a pair that an SRDF leaves out by the default of one of its links."""
-        return cls(first, second, "SRDF: not compared by default")
-
-    @staticmethod
-    def named(pairs: "Sequence[LeftOut]") -> str:
-        """Return the first few pairs in words, those that overlap in every state before others."""
-        ordered = sorted(pairs, key=lambda pair: not pair.reason.startswith(OVERLAP))
-        names = (f"{pair.first} and {pair.second}" for pair in ordered)
-        return few(names, 3)
 
 
 @dataclass(frozen=True)

@@ -25,8 +25,8 @@ from cvqmpt_lab.constraints.region_constraint import RegionConstraint
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.problem import PlanningProblem, really_held
+from cvqmpt_lab.robot.left_out import OVERLAP, Robot
 from cvqmpt_lab.robot.load import robot_from_source
-from cvqmpt_lab.robot.robot import OVERLAP, Robot
 from cvqmpt_lab.robot.source import ARMS, example_robots
 from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.search.result import Budget, JointPath

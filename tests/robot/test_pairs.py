@@ -5,6 +5,7 @@ import pytest
 from refusals import refused
 from small_arms import box, joint, problem_of
 
+from cvqmpt_lab.benchmarks.place_task import door_problem
 from cvqmpt_lab.benchmarks.templates import problem_template
 from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.robot.load import load_robot
@@ -97,3 +98,10 @@ def test_pairs_that_always_overlap_are_left_out_with_a_note(tmp_path):
     robot = load_robot(tmp_path / "arm.urdf", "slide")
     assert ("slide", "post", "overlap in 100 % of random states") in robot.left_out_pairs
     assert any("compared by nobody" in note and "slide and post" in note for note in robot.notes)
+
+
+def test_pieces_of_a_door_are_of_no_link():
+    """Pinocchio gives them a frame number beyond all frames."""
+    robot = door_problem(0).robot
+    names = {name for one in overlaps(robot) for name in one[:2]}
+    assert names <= {*robot.frame_names}

@@ -9,9 +9,9 @@ from refusals import refused
 from cvqmpt_lab.collision.motion_bounds import Sweep
 from cvqmpt_lab.robot.hulls import hull_vertices
 from cvqmpt_lab.robot.kinematics import link_poses, sine_and_cosine
+from cvqmpt_lab.robot.left_out import OVERLAP
 from cvqmpt_lab.robot.load import load_robot, robot_from_source
 from cvqmpt_lab.robot.load import panda as load_panda
-from cvqmpt_lab.robot.robot import OVERLAP
 
 HOME = np.array([0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785])
 

@@ -30,7 +30,7 @@ from cvqmpt_lab.features.motion.limit_use import LimitUse, share_text
 from cvqmpt_lab.features.motion.trajectory import Motion
 from cvqmpt_lab.planning.solution import Solution
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.robot.robot import LeftOut
+from cvqmpt_lab.robot.left_out import LeftOut
 from cvqmpt_lab.scene.scene import Scene
 
 
