@@ -40,6 +40,7 @@ from cvqmpt_lab.base.codec import Document, OneOrMore, to_plain
 from cvqmpt_lab.base.errors import InvalidProblemError, mapping, unique
 from cvqmpt_lab.base.modules import provider
 from cvqmpt_lab.base.values import FULL_TURN_RAD, Array, Condition, FloatArray, Name, frozen
+from cvqmpt_lab.constraints.holding import MOST_PLAY_M, play_of_hand
 from cvqmpt_lab.constraints.named import Region, RegionForm
 from cvqmpt_lab.constraints.region_constraint import (
     Member,
@@ -374,7 +375,22 @@ class PlanningProblem(Document):
     @property
     def notes(self) -> list[str]:
         """Lines on how robot and scene were read differently from their files."""
-        return [*self.robot.notes, *self.scene.notes]
+        return [*self.robot.notes, *self.scene.notes, *self._loose_hands()]
+
+    def _loose_hands(self) -> Iterator[str]:
+        """Yield a line on each hand in `also_held_by` that the constraint does not keep there."""
+        for item, really in zip(self.attachments, self.carried, strict=True):
+            for name in item.also_held_by:
+                if name in really.also_held_by:
+                    continue
+                play = play_of_hand(self.robot, self.regions, item.end_effector, name)
+                how = (
+                    f"bounds let its points move by up to {1e3 * play:.0f} mm against it; at most "
+                    f"{1e3 * MOST_PLAY_M:.0f} mm is needed"
+                    if np.isfinite(play)
+                    else "no relative-pose bounds its position to the hand that carries it"
+                )
+                yield f"{name} does not hold attachment {item.name!r} and must not touch it: {how}"
 
     def random_stream(self, *keys: int) -> np.random.Generator:
         """Return a generator seeded by keys, such as a seed, and by the start."""
@@ -409,34 +425,21 @@ def really_held(
 ) -> tuple[Attachment, ...]:
     """Attachments without the hands in `also_held_by` that no region keeps at them.
 
-    A hand is kept if regions between hands lead from the carrying hand to it, each with at most
-    2 cm and 0.2 rad from its lower to its upper bounds; it may turn further about one axis.
+    A hand is kept if none of its points moves by more than 2 cm against the carrying hand, see
+    `play_of_hand`.
 
     Args:
         robot: the robot.
         attachments: what it carries.
         regions: the constraint.
     """
-    if not any(item.also_held_by for item in attachments):
-        return attachments
-    ties = [
-        {row for row, _ in region.links(robot)}
-        for region in regions
-        if isinstance(region, TaskSpaceRegionChain) and _has_little_play(region)
-    ]
 
     def held(item: Attachment) -> Attachment:
-        tied = {robot.hand(item.end_effector)[0]}
-        for _ in ties:  # each round may lead one hand further
-            tied |= set().union(*(tie for tie in ties if tie & tied))
-        names = tuple(name for name in item.also_held_by if robot.hand(name)[0] in tied)
+        names = tuple(
+            name
+            for name in item.also_held_by
+            if play_of_hand(robot, regions, item.end_effector, name) <= MOST_PLAY_M
+        )
         return replace(item, also_held_by=names)
 
     return tuple(map(held, attachments))
-
-
-def _has_little_play(region: TaskSpaceRegion) -> bool:
-    """Return whether positions, and two rotations or the tilt, have close bounds."""
-    widths = region.bounds[:, 1] - region.bounds[:, 0]
-    turns = (widths[3:6] <= 0.2).sum() >= 2 or widths[6] <= 0.2
-    return bool((widths[:3] <= 0.02).all() and turns)
