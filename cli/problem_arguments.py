@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from cvqmpt_lab.base.errors import InvalidInputError, located, mapping
-from cvqmpt_lab.base.files import read_json_object
+from cvqmpt_lab.base.files import json_object, read_json_object
 from cvqmpt_lab.benchmarks.declarations import SUITES
 from cvqmpt_lab.benchmarks.suite import suite_named
 from cvqmpt_lab.cli.options import NOTES, numbers, refuse_given
@@ -157,8 +157,10 @@ def name_file(args: argparse.Namespace) -> None:
 
 
 def is_function(text: str) -> bool:
-    """Return whether a --constraint is the address of a function, module:F."""
-    return ":" in text and not text.lstrip().startswith("{")
+    """Return whether a --constraint is a function: its address module:F, or json with it."""
+    if text.lstrip().startswith("{"):
+        return "function" in json_object(text, "--constraint")
+    return ":" in text
 
 
 def motion_given(args: argparse.Namespace) -> bool:
@@ -178,9 +180,9 @@ def with_functions(
             f"--constraint {args.constraint[0]}: regions go with --start and --goal of "
             "plan, functions (module:F) with any problem; a task states its own constraints"
         )
-    from cvqmpt_lab.constraints.function_files import load_function  # few commands have one
+    from cvqmpt_lab.constraints.function_files import function_given  # few commands have one
 
-    added = (load_function(address) for address in args.constraint)
+    added = map(function_given, args.constraint)
     return replace(problem, constraint=(*problem.constraint, *added))
 
 

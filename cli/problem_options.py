@@ -177,8 +177,9 @@ PROBLEM: Options = {
     ),
     "--problem": option("index of a problem of the suite (0)", type=int, default=0, metavar="I"),
     "--constraint": option(
-        "add a constraint function of your own to the problem; repeatable",
-        metavar="MODULE:F",
+        "add a constraint function of your own to the problem, or json with its address and "
+        "fields, such as bounds lower and upper; repeatable",
+        metavar="MODULE:F|JSON",
         **REPEATED,
     ),
     **CODE,
