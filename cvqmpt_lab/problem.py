@@ -40,6 +40,7 @@ from cvqmpt_lab.base.codec import Document, OneOrMore, to_plain
 from cvqmpt_lab.base.errors import InvalidProblemError, mapping, unique
 from cvqmpt_lab.base.modules import provider
 from cvqmpt_lab.base.values import FULL_TURN_RAD, Array, Condition, FloatArray, Name, frozen
+from cvqmpt_lab.constraints.free_bounds import refuse_free_bounds
 from cvqmpt_lab.constraints.holding import MOST_PLAY_M, play_of_hand
 from cvqmpt_lab.constraints.named import Region, RegionForm
 from cvqmpt_lab.constraints.region_constraint import (
@@ -238,12 +239,9 @@ class PlanningProblem(Document):
                 f"{self.name}: a constraint of {len(self.constraint)} regions; at most "
                 f"{most} can be kept at once: leave out those that others say already"
             )
-        for region in self.regions:
-            # refuses frames that do not exist or do not move
-            region.links(self.robot)
-        for function in functions_of(self.constraint):
-            # refuses joints that do not exist, and links without mass
-            function.on(self.robot)
+        for k, member in enumerate(self.constraint):
+            # refuses also frames that do not move, joints that do not exist, links without mass
+            refuse_free_bounds(self.robot, member, f"{self.name}: constraint[{k}]")
         ends = [region for region in (self.start_region, self.goal_region) if region is not None]
         for name in (
             *(region.end_effector for region in ends),
@@ -251,6 +249,12 @@ class PlanningProblem(Document):
         ):
             # refuses a frame that is no end effector
             self.robot.hand(name)
+        for what, region in (
+            ("start_region", self.start_region),
+            ("goal_region", self.goal_region),
+        ):
+            if region is not None:
+                refuse_free_bounds(self.robot, region, f"{self.name}: {what}")
         for item in self.attachments:
             hands = [name or self.robot.end_effector for name in item.held_by]
             unique(hands, f"end effectors that hold attachment {item.name!r}")
