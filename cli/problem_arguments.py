@@ -14,6 +14,7 @@ from cvqmpt_lab.benchmarks.declarations import SUITES
 from cvqmpt_lab.benchmarks.suite import suite_named
 from cvqmpt_lab.cli.options import NOTES, numbers, refuse_given
 from cvqmpt_lab.cli.problem_options import PRICES_USED
+from cvqmpt_lab.constraints.function import FunctionConstraint
 from cvqmpt_lab.features.tasks.task import Task
 from cvqmpt_lab.planning.margins import Margin
 from cvqmpt_lab.planning.planners import PLANNERS
@@ -163,6 +164,18 @@ def is_function(text: str) -> bool:
     return ":" in text
 
 
+def function_of_option(text: str) -> FunctionConstraint:
+    """Return the function of a --constraint."""
+    if not is_function(text):
+        raise InvalidInputError(
+            f"--constraint {text}: give a function, module:F; a region stands in the field "
+            "constraint of the file"
+        )
+    from cvqmpt_lab.constraints.function_files import function_given  # few commands have one
+
+    return function_given(text)
+
+
 def motion_given(args: argparse.Namespace) -> bool:
     """Return whether start, goal or a region as constraint are given."""
     regions = [text for text in args.constraint if not is_function(text)]
@@ -180,9 +193,7 @@ def with_functions(
             f"--constraint {args.constraint[0]}: regions go with --start and --goal of "
             "plan, functions (module:F) with any problem; a task states its own constraints"
         )
-    from cvqmpt_lab.constraints.function_files import function_given  # few commands have one
-
-    added = map(function_given, args.constraint)
+    added = map(function_of_option, args.constraint)
     return replace(problem, constraint=(*problem.constraint, *added))
 
 
