@@ -4,7 +4,7 @@ import argparse
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,7 +14,6 @@ from cvqmpt_lab.benchmarks.declarations import SUITES
 from cvqmpt_lab.benchmarks.suite import suite_named
 from cvqmpt_lab.cli.options import NOTES, numbers, refuse_given
 from cvqmpt_lab.cli.problem_options import PRICES_USED
-from cvqmpt_lab.constraints.function import FunctionConstraint
 from cvqmpt_lab.features.tasks.task import Task
 from cvqmpt_lab.planning.margins import Margin
 from cvqmpt_lab.planning.planners import PLANNERS
@@ -25,6 +24,9 @@ from cvqmpt_lab.robot.source import ARMS, with_absolute_paths
 from cvqmpt_lab.robot.urdf import read_urdf
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.work import PRICES
+
+if TYPE_CHECKING:
+    from cvqmpt_lab.constraints.function import FunctionConstraint
 
 
 def robot_source(
@@ -164,7 +166,7 @@ def is_function(text: str) -> bool:
     return ":" in text
 
 
-def function_of_option(text: str) -> FunctionConstraint:
+def function_of_option(text: str) -> "FunctionConstraint":
     """Return the function of a --constraint."""
     if not is_function(text):
         raise InvalidInputError(

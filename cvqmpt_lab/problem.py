@@ -41,7 +41,6 @@ from cvqmpt_lab.base.errors import InvalidProblemError, mapping, unique
 from cvqmpt_lab.base.modules import provider
 from cvqmpt_lab.base.values import FULL_TURN_RAD, Array, Condition, FloatArray, Name, frozen
 from cvqmpt_lab.constraints.free_bounds import refuse_free_bounds
-from cvqmpt_lab.constraints.holding import MOST_PLAY_M, play_of_hand
 from cvqmpt_lab.constraints.named import Region, RegionForm
 from cvqmpt_lab.constraints.region_constraint import (
     Member,
@@ -383,6 +382,10 @@ class PlanningProblem(Document):
 
     def _loose_hands(self) -> Iterator[str]:
         """Yield a line on each hand in `also_held_by` that the constraint does not keep there."""
+        if not any(item.also_held_by for item in self.attachments):
+            return
+        from cvqmpt_lab.constraints.holding import MOST_PLAY_M, play_of_hand  # see `really_held`
+
         for item, really in zip(self.attachments, self.carried, strict=True):
             for name in item.also_held_by:
                 if name in really.also_held_by:
@@ -437,6 +440,9 @@ def really_held(
         attachments: what it carries.
         regions: the constraint.
     """
+    if not any(item.also_held_by for item in attachments):
+        return attachments
+    from cvqmpt_lab.constraints.holding import MOST_PLAY_M, play_of_hand  # few hands hold together
 
     def held(item: Attachment) -> Attachment:
         names = tuple(

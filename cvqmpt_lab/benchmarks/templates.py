@@ -129,13 +129,14 @@ def problem_template(
                 blocked = layout is not TABLE_LAYOUTS[-1]
                 problem = PlanningProblem.from_dict(made)
                 kept = replace(problem, constraint=(*problem.constraint, *functions))
-                if _solved(kept, blocked):
+                # a function in Python takes long
+                if _solved(kept, blocked, iterations=100 if functions else 1000):
                     return made
     asked = "".join(f", keep {function.describe()}" for function in functions)
     raise InvalidInputError(
         f"no start and goal were found for robot {robot.name} that keep {TEMPLATE_TILT_RAD} rad of "
-        f"tilt{asked} and can be planned; write a problem by hand, `cvqmpt problems new` for the panda "
-        "shows how"
+        f"tilt{asked} and can be planned; write a problem by hand, `cvqmpt problems new` for the "
+        "panda shows how"
     )
 
 
@@ -179,12 +180,12 @@ def with_limits(source: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
     return {**source, **limits}, notes
 
 
-def _solved(problem: PlanningProblem, blocked: bool) -> bool:
+def _solved(problem: PlanningProblem, blocked: bool, iterations: int) -> bool:
     """Return whether a path is found, and, if `blocked`, no straight motion leads to a goal.
 
     Every second goal is left out: those are turned by whole turns towards the start.
     """
-    solution = solve(problem, "birrt", Budget(iterations=1000), seed=0)
+    solution = solve(problem, "birrt", Budget(iterations=iterations), seed=0)
     if not solution.solved or solution.path is None:
         return False
     if not blocked:
@@ -285,7 +286,9 @@ def _ends(
         around = layout.around * reach
         bounds = np.array([[-around, around]] * 3 + [[-FREE, FREE]] * 3)
         region = TaskSpaceRegion(place, np.eye(4), bounds)
-        manifold = RegionConstraint(robot, (upright(TEMPLATE_TILT_RAD / 2, axis), region, *functions))
+        manifold = RegionConstraint(
+            robot, (upright(TEMPLATE_TILT_RAD / 2, axis), region, *functions)
+        )
         sides.append(_central(robot, manifold, checker))
     tried = 0
     for start in sides[0][:12]:

@@ -17,7 +17,6 @@ from cvqmpt_lab.certificate.between_states import (
     least_slack,
 )
 from cvqmpt_lab.certificate.motion_proof import LeastDistance, prove_free
-from cvqmpt_lab.certificate.tolerated import levers_of
 from cvqmpt_lab.collision.carried import reach_with
 from cvqmpt_lab.collision.exact import CollisionChecker, checker_of
 from cvqmpt_lab.constraints.bounds_between import longest_lever
@@ -272,6 +271,8 @@ def deviation_tolerated(
         clearances: from obstacles, and of the robot's own pieces.
         deviation: deviation of the motion from straight lines between states [m].
     """
+    from cvqmpt_lab.certificate.tolerated import levers_of  # for exact clearances alone
+
     robot, regions = problem.robot, problem.regions
     to_obstacles, to_itself = clearances
     free = [np.inf]

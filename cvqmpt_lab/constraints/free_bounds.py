@@ -1,13 +1,17 @@
 """Bounds of regions that bind nothing are refused: degrees or millimetres were meant."""
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.base.values import FULL_TURN_RAD
-from cvqmpt_lab.constraints.joint_coupling import CoupledJoints
 from cvqmpt_lab.constraints.region_constraint import Member
 from cvqmpt_lab.constraints.task_space_region import ROWS, UNITS, TaskSpaceRegion, shown_lower
 from cvqmpt_lab.robot.robot import Robot
+
+if TYPE_CHECKING:
+    from cvqmpt_lab.constraints.joint_coupling import CoupledJoints
 
 # pi or 2 pi, rounded, stand for a free rotation; other angles above pi are probably degrees
 ROUNDED_HALF_TURN_RAD = 3.2
@@ -41,6 +45,8 @@ def refuse_free_bounds(robot: Robot, member: Member, where: str) -> None:
         _refuse_free_region(robot, member, where)
         return
     made = member.on(robot)
+    from cvqmpt_lab.constraints.joint_coupling import CoupledJoints  # few problems have functions
+
     if isinstance(made, CoupledJoints):
         _refuse_free_sum(robot, made, where)
 
@@ -69,7 +75,7 @@ def _refuse_free_region(robot: Robot, region: TaskSpaceRegion, where: str) -> No
         )
 
 
-def _refuse_free_sum(robot: Robot, coupled: CoupledJoints, where: str) -> None:
+def _refuse_free_sum(robot: Robot, coupled: "CoupledJoints", where: str) -> None:
     """Refuse a joint-coupling whose bounds no state of the robot exceeds."""
     ends = np.stack([robot.lower, robot.upper]) * coupled.factors
     least, most = float(ends.min(axis=0).sum()), float(ends.max(axis=0).sum())
