@@ -40,7 +40,6 @@ from cvqmpt_lab.base.codec import Document, OneOrMore, to_plain
 from cvqmpt_lab.base.errors import InvalidProblemError, mapping, unique
 from cvqmpt_lab.base.modules import provider
 from cvqmpt_lab.base.values import FULL_TURN_RAD, Array, Condition, FloatArray, Name, frozen
-from cvqmpt_lab.constraints.free_bounds import refuse_free_bounds
 from cvqmpt_lab.constraints.named import Region, RegionForm
 from cvqmpt_lab.constraints.region_constraint import (
     Member,
@@ -49,6 +48,7 @@ from cvqmpt_lab.constraints.region_constraint import (
     functions_of,
     regions_of,
 )
+from cvqmpt_lab.constraints.report import refuse_free_bounds
 from cvqmpt_lab.constraints.task_space_region import (
     TaskSpaceRegion,
     TaskSpaceRegionChain,

@@ -38,7 +38,7 @@ from cvqmpt_lab.certificate.certificate import (
     Fault,
     FaultKind,
 )
-from cvqmpt_lab.constraints.free_bounds import angle_asked, binds_no_angle
+from cvqmpt_lab.constraints.report import angle_asked, binds_no_angle
 from cvqmpt_lab.constraints.task_space_region import FREE, TaskSpaceRegion
 from cvqmpt_lab.features.motion.judge import Judgement, judge
 from cvqmpt_lab.features.motion.limit_use import Ends
