@@ -3,7 +3,6 @@
 import inspect
 import time
 from collections.abc import Callable, Mapping, Sequence
-from copy import copy
 from functools import cache, cached_property
 from itertools import pairwise
 from numbers import Real
@@ -125,7 +124,8 @@ class FunctionConstraint(Constraint):
 
     def within(self, lower: Limit = None, upper: Limit = None) -> "FunctionConstraint":
         """Return a copy with other bounds of F; None: its own bound remains."""
-        made = copy(self)
+        made = object.__new__(type(self))  # copy() would load it again by its address
+        vars(made).update(vars(self))
         if not self.equation:
             lower = self.lower if lower is None else lower
             upper = self.upper if upper is None else upper

@@ -216,6 +216,7 @@ def test_bounds_that_bound_nothing_are_refused(limits, message):
 
 def test_bounds_stand_in_files_and_on_the_command_line(tmp_path, monkeypatch, capsys):
     fields = {"lower": -0.3, "upper": None}
+    assert load_function("own_constraints:circle") is circle  # it knows its address from now on
     own = load_function("own_constraints:circle", fields)
     assert own is not circle and circle.equation and own.describe().startswith("circle >= -0.3")
     assert own.source == ("own_constraints:circle", fields) and "bounds circle" in own.code
