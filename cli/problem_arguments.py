@@ -4,12 +4,12 @@ import argparse
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from cvqmpt_lab.base.errors import InvalidInputError, located, mapping
-from cvqmpt_lab.base.files import read_json_object
+from cvqmpt_lab.base.files import json_object, read_json_object
 from cvqmpt_lab.base.readers import plain_readers, read_by_suffix
 from cvqmpt_lab.benchmarks.declarations import SUITES
 from cvqmpt_lab.benchmarks.suite import suite_named
@@ -26,6 +26,9 @@ from cvqmpt_lab.robot.source import ARMS, with_absolute_paths
 from cvqmpt_lab.robot.urdf import read_urdf
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.work import PRICES
+
+if TYPE_CHECKING:
+    from cvqmpt_lab.constraints.function import FunctionConstraint
 
 
 def robot_source(
@@ -167,8 +170,22 @@ def name_file(args: argparse.Namespace) -> None:
 
 
 def is_function(text: str) -> bool:
-    """Return whether a --constraint is the address of a function, module:F."""
-    return ":" in text and not text.lstrip().startswith("{")
+    """Return whether a --constraint is a function: its address module:F, or json with it."""
+    if text.lstrip().startswith("{"):
+        return "function" in json_object(text, "--constraint")
+    return ":" in text
+
+
+def function_of_option(text: str) -> "FunctionConstraint":
+    """Return the function of a --constraint."""
+    if not is_function(text):
+        raise InvalidInputError(
+            f"--constraint {text}: give a function, module:F; a region stands in the field "
+            "constraint of the file"
+        )
+    from cvqmpt_lab.constraints.function_files import function_given  # few commands have one
+
+    return function_given(text)
 
 
 def motion_given(args: argparse.Namespace) -> bool:
@@ -188,9 +205,7 @@ def with_functions(
             f"--constraint {args.constraint[0]}: regions go with --start and --goal of "
             "plan, functions (module:F) with any problem; a task states its own constraints"
         )
-    from cvqmpt_lab.constraints.function_files import load_function  # few commands have one
-
-    added = (load_function(address) for address in args.constraint)
+    added = map(function_of_option, args.constraint)
     return replace(problem, constraint=(*problem.constraint, *added))
 
 

@@ -83,7 +83,7 @@ def test_the_reasons_why_there_is_no_goal_are_named(problem):
     assert re.search(r'axis -?[xy] of the hand points up there, not z: write "axis": "', flat)
     goals = problem.goals[:3].copy()
     goals[:, 6] += np.where(goals[:, 6] < 0, 0.4, -0.4)
-    bounds = np.array([[-3.0, 3.0]] * 3 + [[-np.pi, np.pi]] * 3)
+    bounds = np.array([[-1.2, 1.2]] * 3 + [[-np.pi, np.pi]] * 3)
     wide = TaskSpaceRegion(np.eye(4), np.eye(4), bounds)
     left = replace(problem, goals=goals, goal_region=wide)
     told = "'goal_region' leaves the constraint: the best of 3 goals in it"

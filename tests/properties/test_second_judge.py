@@ -45,7 +45,7 @@ SPREADS = (0.3, 0.1, 0.03, 0.01, 0.0)  # [rad or m] by which those that follow d
 CHAIN_STEPS = (0.01, 0.03, 0.1)  # [rad or m] between states of a closed chain, about
 SLIPS = (0.0, 1e-4, 3e-4)  # [rad or m] by which joints leave it, so that bounds are nearly broken
 # pose of the second hand in the frame of the first hand
-FREEDOMS = ({}, {"position": 0.01, "rotation": 0.05}, {"about": "z"})
+FREEDOMS = ({}, {"position": 0.002, "rotation": 0.005}, {"about": "z"})
 KINDS = len(CARRYING_LAYOUTS) * len(FREEDOMS)
 
 

@@ -239,7 +239,7 @@ def report_of(found: DryRun, contents: dict[str, Any]) -> Report:
         *(("note", note) for note in compared["notes"]),
         (
             "tolerances",
-            f"constraint {tolerances['constraint']:g} rad or m, step "
+            f"constraint {tolerances['constraint']:g} rad, m or unit of F, step "
             f"{tolerances['step_rad']:g} rad, ends {tolerances['ends_rad']:g} rad, margin "
             f"{1e3 * tolerances['margin_m']:.2g} mm, clearance from obstacles "
             f"{1e3 * tolerances['clearance_m']:g} mm",

@@ -37,6 +37,7 @@ from cvqmpt_lab.certificate.certificate import (
     Fault,
     FaultKind,
 )
+from cvqmpt_lab.constraints.report import angle_asked, binds_no_angle
 from cvqmpt_lab.constraints.task_space_region import FREE, TaskSpaceRegion
 from cvqmpt_lab.features.motion.judge import Judgement, judge
 from cvqmpt_lab.features.motion.limit_use import Ends
@@ -417,6 +418,10 @@ def _joint(fields: Mapping[str, Any], robot: Robot) -> JointBounds:
     below = _number(fields.get("tolerance_below", 0.0), "tolerance_below")
     above = _number(fields.get("tolerance_above", 0.0), "tolerance_above")
     j = robot.joint_names.index(name)
+    free = value - below <= robot.lower[j] and value + above >= robot.upper[j]
+    slides = robot.kinematics.prismatic[robot.kinematics.order[j]]
+    if free and not slides and binds_no_angle(max(below, above)):
+        raise InvalidInputError(f"tolerance of {name}: {angle_asked(max(below, above))}")
     if value - below > robot.upper[j] or value + above < robot.lower[j]:
         raise InvalidInputError(
             f"position {value:.4g} of {name} is outside its limits {robot.lower[j]:.4g} to "
@@ -472,6 +477,9 @@ def _orientation(fields: Mapping[str, Any], robot: Robot) -> TaskSpaceRegion | E
             for name in (f"absolute_{axis}_axis_tolerance" for axis in "xyz")
         ]
     )
+    for axis, bound in zip("xyz", most.tolist(), strict=True):
+        if binds_no_angle(bound):
+            raise InvalidInputError(f"absolute_{axis}_axis_tolerance: {angle_asked(bound)}")
     kind = fields.get("parameterization", 0)
     if kind not in (0, 1):
         raise InvalidInputError(
