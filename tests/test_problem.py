@@ -302,7 +302,7 @@ def test_a_base_inside_an_obstacle_is_named_where_the_start_collides(panda):
     start = np.array([0.0, -0.5, 0.0, -2.2, 0.0, 1.8, 0.8])
     asked = PlanningProblem("sunk", panda, scene, start, start[None] + 0.1)
     told = refused("start is in collision", check_problem, asked)
-    assert "the base stands in it, too (panda_link0" in told and "'base'" in told
+    assert "the base stands in an obstacle, too (panda_link0" in told and "'base'" in told
 
 
 def test_no_projection_is_advised_where_the_projection_failed(problem):

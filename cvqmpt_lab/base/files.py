@@ -150,6 +150,7 @@ OTHER_KINDS = {
 
 def _refuse_other_kind(path: Path, what: str) -> None:
     """Refuse a file whose suffix says that it is no `what` but a mesh, a cloud or a motion."""
+    path = Path(path)
     told = OTHER_KINDS.get(path.suffix.lower())
     if told is not None and path.is_file():
         raise InvalidInputError(f"{path}, given as {what}, is {told.format(path.name)}")

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from cvqmpt_lab.base.codec import from_plain
-from cvqmpt_lab.base.errors import InvalidInputError, located, nearest, shown
+from cvqmpt_lab.base.errors import located
 from cvqmpt_lab.base.files import read_json_object
 from cvqmpt_lab.robot.source import with_absolute_paths
 from cvqmpt_lab.scene.cells import map_of_points
@@ -131,12 +131,8 @@ def _shapes(
 ) -> Iterator[PointCloud | OccupancyMap | ConvexMesh]:
     """Yield the shapes of one file."""
     path = folder / named.path
-    if not path.exists() and path.parent.is_dir():
-        near = nearest(path.name, (other.name for other in path.parent.iterdir()))
-        raise InvalidInputError(
-            f"path {shown(named.path)}: no such file in {path.absolute().parent}{near}; paths "
-            "start at the folder of the file that names them"
-        )
+    if not path.exists():
+        path = path.absolute()  # the error says in which folder it looked
     if not isinstance(named, MeshFile):
         from cvqmpt_lab.scene.cloud_files import read_cloud
 
