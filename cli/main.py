@@ -352,7 +352,7 @@ def _silence() -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def _tell_warning(message: Warning | str, *_: Any) -> None:
+def _tell_warning(message: Warning | str, *_: Any, **__: Any) -> None:
     """Print a warning as one line, without the line of the source that Python prints."""
     print(f"note: {' '.join(str(message).split())}", file=sys.stderr)
 

@@ -158,8 +158,8 @@ def _base_inside(checker: CollisionChecker, least_m: float = 1e-3) -> str:
     if pair is None or -depth < least_m:
         return ""
     return (
-        f"the base stands in an obstacle, too ({pair.first} is {-1e3 * depth:.0f} mm inside {pair.second}): "
-        f"move {pair.second}, or the robot by its field 'base'; or "
+        f"the base stands in an obstacle, too ({pair.first} is {-1e3 * depth:.0f} mm inside "
+        f"{pair.second}): move {pair.second}, or the robot by its field 'base'; or "
     )
 
 
