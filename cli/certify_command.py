@@ -1,6 +1,7 @@
 """`cvqmpt certify`: certify a path or trajectory from any source, or all paths of a run again."""
 
 import argparse
+import contextlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -64,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
                 "with the folder of its problem files"
             )
         return _certify_run(args.path, folder, args.json)
-    motion = read_motion(args.path, args.topic)
+    motion = _motion(args)
     if args.request is not None:
         return _told(args, motion, *_by_request(args, motion))
     refuse_given(args, ["scene"], "goes with --request; a problem has its own scene")
@@ -77,6 +78,29 @@ def run(args: argparse.Namespace) -> int:
     problem = with_limits_of(problem, motion)
     ends = _ends(args, motion, problem)
     return _told(args, motion, problem, judge(motion, problem, ends=ends, exact_clearance=True))
+
+
+def _motion(args: argparse.Namespace) -> Motion:
+    """Read the motion; say which file is meant where a problem or a list of motions is given."""
+    try:
+        return read_motion(args.path, args.topic)
+    except InvalidInputError:
+        data = dict[str, Any]()
+        if args.path.suffix == ".json":
+            with contextlib.suppress(InvalidInputError):
+                data = read_json_object(args.path)
+        if str(data.get("schema", "")).startswith("cvqmpt-"):
+            motion = args.suite or "MOTION"
+            raise InvalidInputError(
+                f"{args.path} is a problem or task file, no motion; the motion comes first: cvqmpt "
+                f"certify {motion} {args.path}"
+            ) from None
+        if "steps" in data:
+            raise InvalidInputError(
+                f"{args.path} lists the motions of a task; give its folder: cvqmpt certify "
+                f"{args.path.parent} {args.suite or 'TASK.json'}"
+            ) from None
+        raise
 
 
 def _told(

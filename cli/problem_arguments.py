@@ -122,8 +122,10 @@ def configuration(robot: Robot, option: str, text: str, file: Path | None = None
         given = data.get("start") if text == "start" else (data.get("goals") or [None])[0]
         if given is None:
             field = "start" if text == "start" else "goals"
+            found = f", such as cvqmpt ik {file} --region {text} finds"
+            found = found if f"{text}_region" in data else ""
             raise InvalidInputError(
-                f"{option} {text}: {file} has no configuration in {field!r}; write numbers"
+                f"{option} {text}: {file} has no configuration in {field!r}; write numbers{found}"
             )
         return np.array(numbers_of(robot, given, f"{file}: {text}"))
     if Path(text).suffix in (".json", ".yaml", ".yml"):

@@ -179,7 +179,8 @@ class PlanningProblem(Document):
     scene: NamedScene  # What it must not touch
     # (n,) [rad or m], drawn from `start_region` if empty
     start: State = field(default_factory=lambda: np.empty(0))
-    # (k, n) [rad or m], drawn from `goal_region` if there are none
+    # (k, n) [rad or m]; if there are none, each run draws them from `goal_region`, and this field
+    # stays empty: `pipeline.with_drawn_goals` returns the problem with them
     goals: States = field(default_factory=lambda: np.empty((0, 0)))
     # Regions that the end effector must stay in, and functions of the user's own that stay 0
     constraint: Members = ()

@@ -129,11 +129,40 @@ def read_bytes(path: Path, what: str = "file") -> bytes:
         raise InvalidInputError(f"cannot read {what} {shown(str(path))}: {error}") from error
 
 
+# what a file is by its suffix where another kind was expected, and how to use it; {} is its name
+OTHER_KINDS = {
+    **dict.fromkeys(
+        (".stl", ".obj", ".dae", ".glb", ".off"),
+        'a mesh; name it in a problem file: "shape": {{"type": "mesh_file", "path": "{0}"}}',
+    ),
+    **dict.fromkeys(
+        (".pcd", ".ply", ".xyz", ".npy", ".las"),
+        "a cloud; write a scene from it with: cvqmpt scan {0} --out scene.json",
+    ),
+    **dict.fromkeys(
+        (".png", ".tif", ".tiff", ".exr"),
+        "an image; write a scene from a depth image with: cvqmpt scan {0} --out scene.json",
+    ),
+    **dict.fromkeys(
+        (".csv", ".npz", ".mcap"), "a motion; judge it with: cvqmpt certify {0} PROBLEM.json"
+    ),
+}
+
+
+def _refuse_other_kind(path: Path, what: str) -> None:
+    """Refuse a file whose suffix says that it is no `what` but a mesh, a cloud or a motion."""
+    path = Path(path)
+    told = OTHER_KINDS.get(path.suffix.lower())
+    if told is not None and path.is_file():
+        raise InvalidInputError(f"{path}, given as {what}, is {told.format(path.name)}")
+
+
 def read_text(path: Path, what: str = "file") -> str:
     """Read UTF-8 text as `read_bytes` does, without a byte order mark."""
     try:
         return read_bytes(path, what).decode().removeprefix("\ufeff")
     except UnicodeDecodeError as error:
+        _refuse_other_kind(path, what)
         raise InvalidInputError(f"{what} {path} is not UTF-8 text (byte {error.start})") from error
 
 
@@ -171,6 +200,7 @@ def xml_root(text: str, what: str) -> Element:
 
 def read_json_object(path: Path, what: str = "file") -> dict[str, Any]:
     """Read a file that holds one JSON object."""
+    _refuse_other_kind(path, what)
     return json_object(read_text(path, what), f"{what} {path}")
 
 

@@ -73,9 +73,9 @@ def solve(
         optimize: budget for shorter paths after the first one; the result is never longer.
         use_cache: False: the planner's time contains all computations from the cloud, also those
             whose results are cached.
-        near_goals_first: if a joint can turn more than once, the same pose is a goal several times,
-            whole turns apart; the nearest goals are then searched first. Drawn goals near the start
-            are always searched first.
+        near_goals_first: given goals near the start are searched first, as drawn ones always are.
+            If there are none, and a joint can turn more than once, the same pose is a goal several
+            times, whole turns apart: the nearest goals are then searched first.
         goals: result of `goals_of` for the problem; None: it is called here.
 
     Raises:
@@ -115,8 +115,11 @@ def solve(
     space = ConstrainedSpace.of(problem, backend, world, ends=ends)
     query = Query.of(space, problem.start, usable, budget, problem.random_stream(seed), seed)
     near = goals.near(problem.start)
-    if near_goals_first and problem.robot.turning.any():
-        near = max(near, NEAR_GOAL_COUNT)
+    if near_goals_first:
+        # one search of near and far goals together may end at a far one
+        near = goals.within(problem.start) or max(
+            near, NEAR_GOAL_COUNT if problem.robot.turning.any() else 0
+        )
     observed = Observation(cloud, use_cache)
     attempts: list[_Attempt] = []
     for attempt in _attempts(query, stages, observed, near, certified):

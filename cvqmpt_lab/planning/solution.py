@@ -166,6 +166,8 @@ def _status(solution: Solution) -> str:
         text += f": no path found within {plan.seconds:.3g} s and {iterations} iterations"
     if plan.status is PlanStatus.COST_LIMIT:
         text += f": no path found within the cost, after {plan.counters.iterations} iterations"
+    if plan.path is not None and plan.detail.endswith("draws reached the constraint"):
+        return text  # a reason for no path, see `birrt.GrowingTrees.warning`
     if plan.detail.startswith(text):
         return plan.detail
     return f"{text} ({plan.detail})" if plan.detail else text

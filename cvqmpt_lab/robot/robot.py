@@ -244,8 +244,10 @@ class Robot:
 
     def frame(self, name: str | None = None) -> tuple[int, np.ndarray]:
         """Return what `hand` and `link_of` return, of an end effector or any other body frame."""
-        if name is None or name in self.hands or name not in self.frame_names:
+        if name is None or name in self.hands:
             return self.hand(name)
+        choices = dict.fromkeys((*self.end_effectors, *self.frame_names))
+        require_choice(f"frame of robot {self.name}", name, choices)
         return self.link_of(name)
 
     @property

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -50,12 +49,23 @@ StateFaults = Callable[[np.ndarray], Iterable[Fault]]
 
 
 def certified_motion(
-    problem: PlanningProblem, path: JointPath, settings: TimingSettings | None = None
+    problem: PlanningProblem,
+    path: JointPath,
+    settings: TimingSettings | None = None,
+    also: Callable[[Trajectory], Sequence[str]] = lambda motion: (),
 ) -> Trajectory:
     """Compute the fastest certified motion along a path, with the velocities of `settings` at ends.
 
-    The quintics between its points are certified, and the cubics. Raises InvalidInputError if the
-    path does not move, the robot has no acceleration limits, or no motion is certified.
+    The quintics between its points are certified, and the cubics.
+
+    Args:
+        problem: the problem.
+        path: the path.
+        settings: speed, deviation, duration and velocities at the ends; None: the defaults.
+        also: returns further faults of a motion.
+
+    Raises InvalidInputError if the path does not move, the robot has no acceleration limits, or no
+    motion is certified.
     """
     from cvqmpt_lab.features.motion.timing import time_path  # half a second to import
 
@@ -65,7 +75,9 @@ def certified_motion(
         raise InvalidInputError("the path does not move: there is nothing to time")
     states[-1] = path.states[-1]
 
-    faults = partial(trajectory_faults, problem, settings=settings)
+    def faults(motion: Trajectory) -> Sequence[str]:
+        return also(motion) or trajectory_faults(problem, motion, settings)
+
     frames = FrameSpeeds(problem.robot) if problem.robot.frame_limits else None
     limits = problem.robot.joint_limits
     return time_path(states, limits, settings, faults, problem.dynamics, frames)
