@@ -1,9 +1,10 @@
 """`cvqmpt certify`: certify a path or trajectory from any source, or all paths of a run again."""
 
 import argparse
+import contextlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -11,7 +12,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from cvqmpt_lab.base.codec import from_plain
-from cvqmpt_lab.base.errors import InvalidInputError, located
+from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.base.files import csv_table, read_json_object, write_text
 from cvqmpt_lab.base.reports import Entry, Report
 from cvqmpt_lab.base.values import Array, FloatArray
@@ -21,7 +22,6 @@ from cvqmpt_lab.cli.options import (
     Options,
     file_of_kind,
     log,
-    numbers,
     option,
     positive,
     refuse_given,
@@ -29,6 +29,7 @@ from cvqmpt_lab.cli.options import (
 from cvqmpt_lab.cli.problem_arguments import (
     chosen_problem,
     chosen_robot,
+    configuration,
     end_velocities,
 )
 from cvqmpt_lab.cli.problem_options import PROBLEM, ROBOT, velocity_options
@@ -64,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
                 "with the folder of its problem files"
             )
         return _certify_run(args.path, folder, args.json)
-    motion = read_motion(args.path, args.topic)
+    motion = _motion(args)
     if args.request is not None:
         return _told(args, motion, *_by_request(args, motion))
     refuse_given(args, ["scene"], "goes with --request; a problem has its own scene")
@@ -77,6 +78,29 @@ def run(args: argparse.Namespace) -> int:
     problem = with_limits_of(problem, motion)
     ends = _ends(args, motion, problem)
     return _told(args, motion, problem, judge(motion, problem, ends=ends, exact_clearance=True))
+
+
+def _motion(args: argparse.Namespace) -> Motion:
+    """Read the motion; say which file is meant where a problem or a list of motions is given."""
+    try:
+        return read_motion(args.path, args.topic)
+    except InvalidInputError:
+        data = dict[str, Any]()
+        if args.path.suffix == ".json":
+            with contextlib.suppress(InvalidInputError):
+                data = read_json_object(args.path)
+        if str(data.get("schema", "")).startswith("cvqmpt-"):
+            motion = args.suite or "MOTION"
+            raise InvalidInputError(
+                f"{args.path} is a problem or task file, no motion; the motion comes first: cvqmpt "
+                f"certify {motion} {args.path}"
+            ) from None
+        if "steps" in data:
+            raise InvalidInputError(
+                f"{args.path} lists the motions of a task; give its folder: cvqmpt certify "
+                f"{args.path.parent} {args.suite or 'TASK.json'}"
+            ) from None
+        raise
 
 
 def _told(
@@ -107,7 +131,6 @@ def _by_request(args: argparse.Namespace, motion: Motion) -> tuple[PlanningProbl
     from cvqmpt_lab.features.moveit_requests.motion_request import (
         judge_request,
         read_request,
-        standing_frame,
     )
 
     if args.suite:
@@ -117,6 +140,9 @@ def _by_request(args: argparse.Namespace, motion: Motion) -> tuple[PlanningProbl
     refuse_given(args, unused, "does not go with --request, which states what the motion must keep")
     robot, scene = chosen_robot(args), Scene("no scene", ())
     request = read_request(args.request, robot)
+    if unstated := [name for name in robot.joint_names if name not in request.start]:
+        of = f" of {', '.join(unstated)}" if request.start else ""
+        log(f"the request states no start{of}: the motion may begin anywhere")
     if args.scene is None:
         log("no --scene is given: the motion is compared with the robot itself alone")
     elif args.scene.suffix == ".json":
@@ -124,12 +150,7 @@ def _by_request(args: argparse.Namespace, motion: Motion) -> tuple[PlanningProbl
     else:
         from cvqmpt_lab.scene.moveit_scenes import read_moveit_scene
 
-        held = {joint.name: joint.value for joint in robot.held_joints}
-        scene, frame = read_moveit_scene(args.scene, {**held, **request.fingers})
-        with located(f"scene {args.scene}"):
-            T = standing_frame(frame, robot)
-        moved = (replace(each, T_world_object=T @ each.T_world_object) for each in scene.objects)
-        scene = replace(scene, objects=tuple(moved))
+        scene, _ = read_moveit_scene(args.scene, robot, request.fingers)
     return judge_request(motion, request, robot, scene, exact=True)
 
 
@@ -138,7 +159,9 @@ def _ends(args: argparse.Namespace, motion: Motion, problem: PlanningProblem) ->
     if motion.times is None:
         why = f"goes with a trajectory; {args.path} has no times"
         refuse_given(args, ["start_velocity", "end_velocity"], why)
-    current = None if args.current is None else np.array(args.current)
+    current = None
+    if args.current is not None:
+        current = configuration(problem.robot, "--current", args.current)
     if args.part and args.current is None:
         raise InvalidInputError(
             "--part: a part of a motion begins where the arm is: give --current"
@@ -293,8 +316,8 @@ OPTIONS: Options = {
         **REPEATED,
     ),
     "--current": option(
-        "current configuration of the arm, in quotes [rad]; the motion must begin there",
-        type=partial(numbers, "--current"),
+        "current configuration of the arm, in quotes [rad], or a file with a JointState; the "
+        "motion must begin there",
         metavar="Q",
     ),
     "--tolerance": option(

@@ -3,20 +3,21 @@
 import argparse
 import csv
 import json
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from cvqmpt_lab.base.codec import from_plain
-from cvqmpt_lab.base.errors import InvalidInputError, located
+from cvqmpt_lab.base.errors import CvqmptError, InvalidInputError, few, located
 from cvqmpt_lab.base.files import csv_table, read_json_object, read_text, write_text
 from cvqmpt_lab.base.poses import Placement
 from cvqmpt_lab.base.values import bound_text
 from cvqmpt_lab.cli.options import FLAG, SEED, Options, file_of_kind, log, one_or_two, option
 from cvqmpt_lab.cli.problem_arguments import chosen_robot, configuration, named_file
 from cvqmpt_lab.cli.problem_options import ROBOT
-from cvqmpt_lab.features.lines.follow_lines import follow_lines, timed
+from cvqmpt_lab.features.lines.follow_lines import Leg, follow_lines, rests, timed
 from cvqmpt_lab.features.motion.timing import TimingSettings
 from cvqmpt_lab.features.motion.trajectory import save_trajectory
 from cvqmpt_lab.robot.robot import SLOW_SPEED
@@ -45,17 +46,31 @@ def run(args: argparse.Namespace) -> int:
     if args.out is not None:
         write_text(args.out, csv_table([robot.joint_names, *states.tolist()]))
         lines.append(f"path         {len(states)} states written to {args.out}")
+    untimed: CvqmptError | OSError | None = None
     if args.trajectory is not None:
-        motion = timed(legs, TimingSettings(speed=args.speed))
-        save_trajectory(motion, args.trajectory)
-        lines.append(
-            f"trajectory   {motion.duration:.2f} s at {args.speed:g} of the joint limits, at rest "
-            f"at every pose, at most {bound_text(motion.deviation, up=True)} rad off the path, "
-            f"certified; written to {args.trajectory}"
-        )
+        try:
+            lines.append(_write_motion(args.trajectory, legs, args.speed))
+        except (CvqmptError, OSError) as error:
+            untimed = error  # the certified lines are told first
     told = {"joint_names": robot.joint_names, "states": states.tolist(), "certified": True}
     print(json.dumps(told) if args.json else "\n".join(lines))
+    if untimed is not None:
+        raise untimed
     return 0
+
+
+def _write_motion(path: Path, legs: Sequence[Leg], speed: float) -> str:
+    """Time the legs, write the motion and return the line to print."""
+    motion = timed(legs, TimingSettings(speed=speed))
+    save_trajectory(motion, path)
+    poses = [str(k) for k in rests(legs, motion)]
+    rest = f"at rest at {'pose' if len(poses) == 1 else 'poses'} {few(poses, 8)}"
+    through = f"{rest}, where no motion through was certified" if poses else "without a rest"
+    return (
+        f"trajectory   {motion.duration:.2f} s at {speed:g} of the joint limits, "
+        f"{through if len(legs) > 1 else 'one line'}, at most "
+        f"{bound_text(motion.deviation, up=True)} rad off the path, certified; written to {path}"
+    )
 
 
 def _scene(path: Path | None, file: Path | None) -> Scene:
@@ -127,7 +142,7 @@ OPTIONS: Options = {
         "write the states", type=partial(file_of_kind, "--out", (".csv",)), metavar="PATH.csv"
     ),
     "--trajectory": option(
-        "write the fastest motion within --speed, at rest at every pose",
+        "write a fast motion within --speed, which rests at a pose only where it must",
         type=partial(file_of_kind, "--trajectory", (".csv", ".json")),
         metavar="OUT.csv|OUT.json",
     ),

@@ -12,6 +12,7 @@ import re
 import sys
 import textwrap
 import traceback
+import warnings
 from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any, NoReturn
@@ -96,6 +97,9 @@ SHORT = {
     "plan": "-h suite --problem --robot --planner --cutoff --seed --start --goal --goal-pose "
     "--constraint --cloud --scene --picture --save --trajectory"
 }
+
+# Commands that go on where they were interrupted.
+CONTINUED = ("reproduce", "data", "train")
 
 # Small networks are several times slower on many threads, and runs share the cores already.
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
@@ -321,13 +325,10 @@ def main(argv: list[str] | None = None) -> int:
         print(f"cvqmpt: {error}{_where(str(error), argv)}", file=sys.stderr)
         return 2
     except MemoryError as error:
-        print(f"cvqmpt: out of memory ({error}); finished results are kept", file=sys.stderr)
+        print(f"cvqmpt: out of memory ({error}); {_kept(argv)}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        print(
-            "cvqmpt: interrupted; finished results are kept, the same command continues",
-            file=sys.stderr,
-        )
+        print(f"cvqmpt: interrupted; {_kept(argv)}", file=sys.stderr)
         return 130
     except BrokenPipeError:  # the reader has gone; 0 would mean a valid certificate
         _silence()
@@ -338,9 +339,22 @@ def main(argv: list[str] | None = None) -> int:
         return 2
 
 
+def _kept(argv: list[str]) -> str:
+    """Return what an interrupted command leaves behind."""
+    command = next((word for word in argv if word in COMMANDS), "")
+    if command in CONTINUED:
+        return "finished results are kept, the same command continues"
+    return "files that it has named as written are kept, nothing else; the same command begins anew"
+
+
 def _silence() -> None:
     """Discard further output, so that Python does not write to a closed pipe at exit."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _tell_warning(message: Warning | str, *_: Any, **__: Any) -> None:
+    """Print a warning as one line, without the line of the source that Python prints."""
+    print(f"note: {' '.join(str(message).split())}", file=sys.stderr)
 
 
 def entry_point() -> None:
@@ -362,6 +376,7 @@ def entry_point() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
+    warnings.showwarning = _tell_warning
     try:
         sys.exit(main())
     except Exception:

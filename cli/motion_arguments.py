@@ -91,9 +91,9 @@ def _start(args: argparse.Namespace, robot: Robot) -> np.ndarray:
 def _constraint(text: str, robot: Robot, start: np.ndarray) -> Member:
     """Return a region of NAME, NAME=VALUE (VALUE: its first field) or json, or a function."""
     if is_function(text):
-        from cvqmpt_lab.constraints.function_files import load_function  # few commands have one
+        from cvqmpt_lab.constraints.function_files import function_given  # few commands have one
 
-        return load_function(text)
+        return function_given(text)
     if text.lstrip().startswith("{"):
         return RegionForm(with_functions=True).read(
             json_object(text, "--constraint"), "--constraint"

@@ -16,7 +16,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cvqmpt_lab.base.errors import InvalidInputError, few
+from cvqmpt_lab.base.errors import CvqmptError, InvalidInputError, few
 from cvqmpt_lab.base.files import csv_table, make_folder, write_text
 from cvqmpt_lab.base.jit import compile_in_processes
 from cvqmpt_lab.base.reports import Report
@@ -85,10 +85,16 @@ def run(args: argparse.Namespace) -> int:
     print(as_json(report.data) if args.json else report)
     # with --json, standard output holds the json object alone
     say = partial(print, file=sys.stderr if args.json else sys.stdout)
+    untimed: CvqmptError | OSError | None = None
     if args.trajectory:
-        say(write())
+        try:
+            say(write())
+        except (CvqmptError, OSError) as error:
+            untimed = error  # pictures, pages and states of the certified path are written first
     for line in _show(args, solution):
         say(line)
+    if untimed is not None:
+        raise untimed
     return 0 if solution.solved else 1
 
 

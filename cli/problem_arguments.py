@@ -4,12 +4,13 @@ import argparse
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from cvqmpt_lab.base.errors import InvalidInputError, located, mapping
-from cvqmpt_lab.base.files import read_json_object
+from cvqmpt_lab.base.files import json_object, read_json_object
+from cvqmpt_lab.base.readers import plain_readers, read_by_suffix
 from cvqmpt_lab.benchmarks.declarations import SUITES
 from cvqmpt_lab.benchmarks.suite import suite_named
 from cvqmpt_lab.cli.options import NOTES, numbers, refuse_given
@@ -18,12 +19,16 @@ from cvqmpt_lab.features.tasks.task import Task
 from cvqmpt_lab.planning.margins import Margin
 from cvqmpt_lab.planning.planners import PLANNERS
 from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.robot.joint_states import is_joint_state
 from cvqmpt_lab.robot.load import group_states, numbers_of, robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.robot.source import ARMS, with_absolute_paths
 from cvqmpt_lab.robot.urdf import read_urdf
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.work import PRICES
+
+if TYPE_CHECKING:
+    from cvqmpt_lab.constraints.function import FunctionConstraint
 
 
 def robot_source(
@@ -108,7 +113,8 @@ def configuration(robot: Robot, option: str, text: str, file: Path | None = None
     Args:
         robot: whose configuration it is.
         option: for messages.
-        text: numbers, the name of a group_state of the SRDF, or start or goal of a file.
+        text: numbers, the name of a group_state of the SRDF, start or goal of a file, or a file
+            with a JointState message.
         file: file of a problem or task; None: start and goal have no meaning.
     """
     if text in ("start", "goal") and file is not None:
@@ -116,10 +122,19 @@ def configuration(robot: Robot, option: str, text: str, file: Path | None = None
         given = data.get("start") if text == "start" else (data.get("goals") or [None])[0]
         if given is None:
             field = "start" if text == "start" else "goals"
+            found = f", such as cvqmpt ik {file} --region {text} finds"
+            found = found if f"{text}_region" in data else ""
             raise InvalidInputError(
-                f"{option} {text}: {file} has no configuration in {field!r}; write numbers"
+                f"{option} {text}: {file} has no configuration in {field!r}; write numbers{found}"
             )
         return np.array(numbers_of(robot, given, f"{file}: {text}"))
+    if Path(text).suffix in (".json", ".yaml", ".yml"):
+        state = read_by_suffix(plain_readers(), text, "joint state", most=2**20)
+        if not is_joint_state(state):
+            raise InvalidInputError(
+                f"{option} {text} is no JointState with name and position; write numbers"
+            )
+        return np.array(numbers_of(robot, state, f"{option} {text}"))
     named = text if text in group_states(robot) else numbers(option, text, robot.joint_names)
     return np.array(numbers_of(robot, named, option))
 
@@ -157,8 +172,22 @@ def name_file(args: argparse.Namespace) -> None:
 
 
 def is_function(text: str) -> bool:
-    """Return whether a --constraint is the address of a function, module:F."""
-    return ":" in text and not text.lstrip().startswith("{")
+    """Return whether a --constraint is a function: its address module:F, or json with it."""
+    if text.lstrip().startswith("{"):
+        return "function" in json_object(text, "--constraint")
+    return ":" in text
+
+
+def function_of_option(text: str) -> "FunctionConstraint":
+    """Return the function of a --constraint."""
+    if not is_function(text):
+        raise InvalidInputError(
+            f"--constraint {text}: give a function, module:F; a region stands in the field "
+            "constraint of the file"
+        )
+    from cvqmpt_lab.constraints.function_files import function_given  # few commands have one
+
+    return function_given(text)
 
 
 def motion_given(args: argparse.Namespace) -> bool:
@@ -178,9 +207,7 @@ def with_functions(
             f"--constraint {args.constraint[0]}: regions go with --start and --goal of "
             "plan, functions (module:F) with any problem; a task states its own constraints"
         )
-    from cvqmpt_lab.constraints.function_files import load_function  # few commands have one
-
-    added = (load_function(address) for address in args.constraint)
+    added = map(function_of_option, args.constraint)
     return replace(problem, constraint=(*problem.constraint, *added))
 
 

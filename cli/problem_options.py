@@ -175,16 +175,20 @@ ROBOT: Options = {
     ),
     **CODE,
 }
+FUNCTIONS: Options = {
+    "--constraint": option(
+        "add a constraint function of your own to the problem, or json with its address and "
+        "fields, such as bounds lower and upper; repeatable",
+        metavar="MODULE:F|JSON",
+        **REPEATED,
+    ),
+}
 PROBLEM: Options = {
     "suite": option(
         "a suite (cvqmpt problems list), or a problem or task file", nargs="?", metavar="SUITE|FILE"
     ),
     "--problem": option("index of a problem of the suite (0)", type=int, default=0, metavar="I"),
-    "--constraint": option(
-        "add a constraint function of your own to the problem; repeatable",
-        metavar="MODULE:F",
-        **REPEATED,
-    ),
+    **FUNCTIONS,
     **CODE,
     "--clearance": option(
         "least distance of the robot and its load to obstacles, for planning and certificate (0, "
@@ -356,7 +360,10 @@ SCAN: Options = {
 MOTION: Options = {
     "one motion, in free space or among the obstacles of --cloud or --scene, instead of a suite or "
     "file": {
-        "--start": option("configuration, numbers separated by commas [rad or m]", metavar="Q"),
+        "--start": option(
+            "configuration, numbers separated by commas [rad or m], or a file with a JointState",
+            metavar="Q",
+        ),
         "--goal": option(
             "goal configuration; repeatable: the path ends at any of them", metavar="Q", **REPEATED
         ),

@@ -7,6 +7,7 @@
 import argparse
 import json
 import os
+import shlex
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
@@ -50,17 +51,19 @@ from cvqmpt_lab.cli.options import (
 from cvqmpt_lab.cli.problem_arguments import (
     chosen_robot,
     configuration,
+    function_of_option,
     named_file,
     robot_source,
 )
-from cvqmpt_lab.cli.problem_options import CODE, ROBOT, pose_region
+from cvqmpt_lab.cli.problem_options import CODE, FUNCTIONS, ROBOT, pose_region
 from cvqmpt_lab.constraints.goals import SAMPLE_MARGIN_M, find_in_region
 from cvqmpt_lab.constraints.named import Region, rpy_of, upper_axis
-from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
+from cvqmpt_lab.constraints.task_space_region import FREE, TaskSpaceRegion, symmetric_region
 from cvqmpt_lab.features.tasks.task import Task
 from cvqmpt_lab.planning.pipeline import with_drawn_goals
 from cvqmpt_lab.planning.usable import why_no_goal
 from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.robot.dynamics import too_weak
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 
@@ -73,8 +76,9 @@ def run(args: argparse.Namespace) -> None:
         "problems": ("list", "export"),
         "out": ("export", "import"),
         "goals": ("export",),
-        "robot": ("new",),
+        "robot": ("new", "import"),
         "task": ("new",),
+        "constraint": ("new",),
     }
     for name, actions in goes_with.items():
         if args.action not in actions:
@@ -91,18 +95,25 @@ def _new(args: argparse.Namespace) -> None:
 
     robot, notes = with_limits(robot_source(args, print) or {"name": "panda"})
     kind: type[Document]
+    functions = [function_of_option(text) for text in args.constraint]
     if args.task is not None:
+        refuse_given(args, ["constraint"], "goes with a problem; a task states its own constraints")
         kind, made = Task, task_template(robot, args.task)
     else:
-        kind, made = PlanningProblem, problem_template(robot)
+        kind, made = PlanningProblem, problem_template(robot, functions)
     write_text(writable_file(path), json_text({**made, "name": path.stem}) + "\n")
     schema = _write_schema(path.parent, kind)
     for note in notes:
         print(note)
     if args.task is None:
         problem = PlanningProblem.load(path)
+        if weak := too_weak(problem.robot):
+            print(f"note: {weak}")
         print("\n".join(hand_lines(problem.robot, problem.start)))
-    print(f"{path} written, and {schema} for editors; plan it with: cvqmpt plan {path}")
+    added = "".join(f" --constraint {shlex.quote(text)}" for text in args.constraint)
+    for function in functions:
+        print(f"constraint  start and goal keep {function.describe()}; the file does not name it")
+    print(f"{path} written, and {schema} for editors; plan it with: cvqmpt plan {path}{added}")
 
 
 def _write_schema(folder: Path, document: type[Document]) -> str:
@@ -120,13 +131,18 @@ def _import(args: argparse.Namespace) -> None:
     path = args.out or Path(f"{source.stem}.json")
     if path.exists():
         raise InvalidInputError(f"{path} exists already; name another file with --out")
-    scene, frame = read_moveit_scene(source)
+    robot = chosen_robot(args) if args.robot else None
+    scene, frame = read_moveit_scene(source, robot)
     write_text(writable_file(path), json_text(to_plain(scene)) + "\n")
     named = f"frame {frame!r}" if frame else "the file's frame"
-    print(
-        f"{path} written: {len(scene.objects)} objects; {named} is used as the world, at whose "
-        "origin the robot's base stands unless base in the field robot moves it"
-    )
+    if robot is not None:
+        where = f"frames are those of {robot.name}"
+    else:
+        where = (
+            f"{named} is used as the world, at whose origin the robot's base stands unless base in "
+            "the field robot moves it"
+        )
+    print(f"{path} written: {len(scene.objects)} objects; {where}")
     print(
         f'use it in a problem, "scene": "{path.name}", or in: cvqmpt plan --scene {path} --start '
         f"Q --goal Q"
@@ -214,6 +230,7 @@ OPTIONS: Options = {
         type=one_of("task", OPENED),
         metavar="|".join(OPENED),
     ),
+    **FUNCTIONS,
     **ROBOT,
 }
 
@@ -278,6 +295,8 @@ def ik(args: argparse.Namespace) -> int:
         middle = 0.5 * (robot.lower + robot.upper)  # used as start, which may be missing
         given = {**data, "start": middle, "start_region": None, "goals": [], "goal_region": region}
         problem = PlanningProblem.from_dict(given)
+    functions = map(function_of_option, args.constraint)
+    problem = replace(problem, constraint=(*problem.constraint, *functions))
     found = find_in_region(
         problem.robot,
         region,
@@ -303,9 +322,14 @@ def ik(args: argparse.Namespace) -> int:
 
 
 def _region(args: argparse.Namespace, file: Path, data: dict) -> TaskSpaceRegion:
-    """Return the region of --pose or --region, by default the goal region of the file."""
+    """Return the region of --pose or --region; by default the file's goal region.
+
+    With functions of --constraint it is by default that of all poses.
+    """
     if args.pose is not None:
         return args.pose
+    if args.region is None and args.constraint:
+        return symmetric_region(np.eye(4), np.eye(4), [FREE] * 6)
     name = {None: "goal_region", "goal": "goal_region", "start": "start_region"}.get(
         args.region, args.region
     )
@@ -336,9 +360,10 @@ IK: Options = {
         ),
         "--region": option(
             "region as json, or goal or start: that region of the file, or the pose of the end "
-            "effector there (goal)"
+            "effector there (goal; with --constraint: anywhere)"
         ),
     },
+    **FUNCTIONS,
     "--count": option(
         "largest number of configurations; two that differ only by full turns of joints count as "
         "one (1)",

@@ -16,9 +16,11 @@ from cvqmpt_lab.cli.options import FLAG, Options, file_of_kind, log, option, pic
 from cvqmpt_lab.cli.problem_arguments import robot_options, source_named
 from cvqmpt_lab.cli.problem_options import CODE, ROBOT_DETAILS
 from cvqmpt_lab.collision.exact import CollisionChecker
-from cvqmpt_lab.robot.dynamics import without_effort_limit
-from cvqmpt_lab.robot.hulls import OVERLAP
+from cvqmpt_lab.robot.dynamics import too_weak, without_effort_limit
+from cvqmpt_lab.robot.left_out import OVERLAP
+from cvqmpt_lab.robot.link_pieces import hull_gaps
 from cvqmpt_lab.robot.load import robot_from_source
+from cvqmpt_lab.robot.pairs import cure_of_overlap, srdf_text
 from cvqmpt_lab.robot.robot import FrameLimit, Robot
 from cvqmpt_lab.robot.source import ARMS, with_relative_paths
 from cvqmpt_lab.scene.scene import Scene
@@ -40,7 +42,13 @@ def run(args: argparse.Namespace) -> None:
         from cvqmpt_lab.features.pictures.picture import draw
 
         draw(robot, args.picture)
-    if args.out:
+    if args.out and args.out.suffix == ".srdf":
+        write_text(args.out, srdf_text(robot))
+        log(
+            f"SRDF written to {args.out}: it leaves out the pairs above, and links that overlap "
+            f"often or where all joints are 0; read its reasons, then give --srdf {args.out}"
+        )
+    elif args.out:
         source = with_relative_paths(args.out.absolute().parent, robot.source)
         write_text(args.out, json_text(source) + "\n")
         log(f"robot file written to {args.out}; give it as --robot {args.out}")
@@ -104,8 +112,9 @@ def describe(robot: Robot, tried: int = 200) -> dict[str, Any]:
             [robot.links[i].name, robot.links[k].name] for i, k in robot.self_collision_pairs
         ],
         "left_out_pairs": [[p.first, p.second, p.reason] for p in robot.left_out_pairs],
+        "hulls_beyond_meshes_m": hull_gaps(robot),
         "links_without_body": list(robot.bodiless),
-        "notes": robot.notes,
+        "notes": [*robot.notes, *filter(None, [too_weak(robot)])],
         "share_free_of_self_collision": float(1.0 - collide.mean()),
     }
 
@@ -152,6 +161,9 @@ def entries(robot: Robot, model: dict[str, Any], guesses: list[str]) -> Iterator
         )
     yield ("frames", f"{len(model['frames'])}: {_listed(model['frames'])}")
     yield ("pieces", f"{len(robot.links)}: {_listed([piece.name for piece in robot.links])}")
+    if gaps := model["hulls_beyond_meshes_m"]:
+        largest = [f"{name} {1e3 * gap:.0f} mm" for name, gap in gaps.items()]
+        yield ("hulls", f"extend beyond their meshes by about: {_listed(largest)}")
     reasons = Counter(pair.reason for pair in robot.left_out_pairs)
     left_out = ", ".join(f"{count} {reason}" for reason, count in reasons.items()) or "none"
     yield (
@@ -164,6 +176,8 @@ def entries(robot: Robot, model: dict[str, Any], guesses: list[str]) -> Iterator
     for pair in robot.left_out_pairs:
         if pair.reason.startswith(OVERLAP):
             yield ("", f"{pair.first} and {pair.second} {pair.reason}: not checked")
+    if overlap := cure_of_overlap(robot):
+        yield ("overlap", overlap)
     free = 100.0 * model["share_free_of_self_collision"]
     yield ("free", f"{free:.0f} % of random configurations are free of self-collision")
     for note in robot.notes:
@@ -172,6 +186,8 @@ def entries(robot: Robot, model: dict[str, Any], guesses: list[str]) -> Iterator
         yield ("timing", "no acceleration limits: timed motions need --acceleration")
     if unlimited := without_effort_limit(robot):
         yield ("timing", unlimited)
+    if weak := too_weak(robot):
+        yield ("timing", weak)
 
 
 def _listed(names: Iterable[str]) -> str:
@@ -194,9 +210,10 @@ OPTIONS: Options = {
     ),
     "--out": option(
         "write the robot with these options to a file, for other commands or for the field robot "
-        "of a problem file",
-        type=partial(file_of_kind, "--out", (".json",)),
-        metavar="robot.json",
+        "of a problem file; .srdf: the pairs of links that are not compared, and those that often "
+        "overlap",
+        type=partial(file_of_kind, "--out", (".json", ".srdf")),
+        metavar="robot.json|srdf",
     ),
 }
 COMMANDS = {"robot": (run, OPTIONS)}

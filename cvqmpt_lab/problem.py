@@ -39,7 +39,15 @@ import numpy as np
 from cvqmpt_lab.base.codec import Document, OneOrMore, to_plain
 from cvqmpt_lab.base.errors import InvalidProblemError, mapping, unique
 from cvqmpt_lab.base.modules import provider
-from cvqmpt_lab.base.values import FULL_TURN_RAD, Array, Condition, FloatArray, Name, frozen
+from cvqmpt_lab.base.values import (
+    FULL_TURN_RAD,
+    Array,
+    Condition,
+    FloatArray,
+    Name,
+    frozen,
+    other_units,
+)
 from cvqmpt_lab.constraints.named import Region, RegionForm
 from cvqmpt_lab.constraints.region_constraint import (
     Member,
@@ -48,6 +56,7 @@ from cvqmpt_lab.constraints.region_constraint import (
     functions_of,
     regions_of,
 )
+from cvqmpt_lab.constraints.report import refuse_free_bounds
 from cvqmpt_lab.constraints.task_space_region import (
     TaskSpaceRegion,
     TaskSpaceRegionChain,
@@ -170,7 +179,8 @@ class PlanningProblem(Document):
     scene: NamedScene  # What it must not touch
     # (n,) [rad or m], drawn from `start_region` if empty
     start: State = field(default_factory=lambda: np.empty(0))
-    # (k, n) [rad or m], drawn from `goal_region` if there are none
+    # (k, n) [rad or m]; if there are none, each run draws them from `goal_region`, and this field
+    # stays empty: `pipeline.with_drawn_goals` returns the problem with them
     goals: States = field(default_factory=lambda: np.empty((0, 0)))
     # Regions that the end effector must stay in, and functions of the user's own that stay 0
     constraint: Members = ()
@@ -237,12 +247,9 @@ class PlanningProblem(Document):
                 f"{self.name}: a constraint of {len(self.constraint)} regions; at most "
                 f"{most} can be kept at once: leave out those that others say already"
             )
-        for region in self.regions:
-            # refuses frames that do not exist or do not move
-            region.links(self.robot)
-        for function in functions_of(self.constraint):
-            # refuses joints that do not exist, and links without mass
-            function.on(self.robot)
+        for k, member in enumerate(self.constraint):
+            # refuses also frames that do not move, joints that do not exist, links without mass
+            refuse_free_bounds(self.robot, member, f"{self.name}: constraint[{k}]")
         ends = [region for region in (self.start_region, self.goal_region) if region is not None]
         for name in (
             *(region.end_effector for region in ends),
@@ -250,6 +257,12 @@ class PlanningProblem(Document):
         ):
             # refuses a frame that is no end effector
             self.robot.hand(name)
+        for what, region in (
+            ("start_region", self.start_region),
+            ("goal_region", self.goal_region),
+        ):
+            if region is not None:
+                refuse_free_bounds(self.robot, region, f"{self.name}: {what}")
         for item in self.attachments:
             hands = [name or self.robot.end_effector for name in item.held_by]
             unique(hands, f"end effectors that hold attachment {item.name!r}")
@@ -271,7 +284,7 @@ class PlanningProblem(Document):
         for label, q in self.labelled_configurations():
             outside = self.robot.joint_outside_limits(q)
             if outside is not None:
-                cure = "degrees? Give radians" if outside[1] > FULL_TURN_RAD else "move it inside"
+                cure = other_units(q) if outside[1] > FULL_TURN_RAD else "move it inside"
                 if outside[0] in self.robot.soft_limited:
                     cure += ", or plan beyond the soft limits of the URDF: --hard-limits"
                 raise InvalidProblemError(
@@ -325,7 +338,7 @@ class PlanningProblem(Document):
                 at = tuple(np.argwhere(wrapped)[0])
                 log.warning(
                     f"{self.name}: {what}: joint {robot.joint_names[at[-1]]} turns without end; "
-                    f"{states[at]:g} rad are taken as {moved[at]:.4g} rad (degrees? Give radians)"
+                    f"{states[at]:g} rad are taken as {moved[at]:.4g} rad ({other_units(states)})"
                 )
             if near is not None:
                 turned = nearest_turn(moved, near)
@@ -374,7 +387,26 @@ class PlanningProblem(Document):
     @property
     def notes(self) -> list[str]:
         """Lines on how robot and scene were read differently from their files."""
-        return [*self.robot.notes, *self.scene.notes]
+        return [*self.robot.notes, *self.scene.notes, *self._loose_hands()]
+
+    def _loose_hands(self) -> Iterator[str]:
+        """Yield a line on each hand in `also_held_by` that the constraint does not keep there."""
+        if not any(item.also_held_by for item in self.attachments):
+            return
+        from cvqmpt_lab.constraints.holding import MOST_PLAY_M, play_of_hand  # see `really_held`
+
+        for item, really in zip(self.attachments, self.carried, strict=True):
+            for name in item.also_held_by:
+                if name in really.also_held_by:
+                    continue
+                play = play_of_hand(self.robot, self.regions, item.end_effector, name)
+                how = (
+                    f"bounds let its points move by up to {1e3 * play:.0f} mm against it; at most "
+                    f"{1e3 * MOST_PLAY_M:.0f} mm is needed"
+                    if np.isfinite(play)
+                    else "no relative-pose bounds its position to the hand that carries it"
+                )
+                yield f"{name} does not hold attachment {item.name!r} and must not touch it: {how}"
 
     def random_stream(self, *keys: int) -> np.random.Generator:
         """Return a generator seeded by keys, such as a seed, and by the start."""
@@ -409,8 +441,8 @@ def really_held(
 ) -> tuple[Attachment, ...]:
     """Attachments without the hands in `also_held_by` that no region keeps at them.
 
-    A hand is kept if regions between hands lead from the carrying hand to it, each with at most
-    2 cm and 0.2 rad from its lower to its upper bounds; it may turn further about one axis.
+    A hand is kept if none of its points moves by more than 2 cm against the carrying hand, see
+    `play_of_hand`.
 
     Args:
         robot: the robot.
@@ -419,24 +451,14 @@ def really_held(
     """
     if not any(item.also_held_by for item in attachments):
         return attachments
-    ties = [
-        {row for row, _ in region.links(robot)}
-        for region in regions
-        if isinstance(region, TaskSpaceRegionChain) and _has_little_play(region)
-    ]
+    from cvqmpt_lab.constraints.holding import MOST_PLAY_M, play_of_hand  # few hands hold together
 
     def held(item: Attachment) -> Attachment:
-        tied = {robot.hand(item.end_effector)[0]}
-        for _ in ties:  # each round may lead one hand further
-            tied |= set().union(*(tie for tie in ties if tie & tied))
-        names = tuple(name for name in item.also_held_by if robot.hand(name)[0] in tied)
+        names = tuple(
+            name
+            for name in item.also_held_by
+            if play_of_hand(robot, regions, item.end_effector, name) <= MOST_PLAY_M
+        )
         return replace(item, also_held_by=names)
 
     return tuple(map(held, attachments))
-
-
-def _has_little_play(region: TaskSpaceRegion) -> bool:
-    """Return whether positions, and two rotations or the tilt, have close bounds."""
-    widths = region.bounds[:, 1] - region.bounds[:, 0]
-    turns = (widths[3:6] <= 0.2).sum() >= 2 or widths[6] <= 0.2
-    return bool((widths[:3] <= 0.02).all() and turns)

@@ -16,6 +16,7 @@ from cvqmpt_lab.benchmarks.place_task import place_problem
 from cvqmpt_lab.certificate.certificate import certify
 from cvqmpt_lab.collision import arrays
 from cvqmpt_lab.collision.exact import CollisionChecker
+from cvqmpt_lab.constraints.task_space_region import symmetric_region
 from cvqmpt_lab.features.tasks.solve import solve_task
 from cvqmpt_lab.planning.pipeline import NEAR_GOAL_COUNT, solve, solve_many, with_drawn_goals
 from cvqmpt_lab.problem import PlanningProblem
@@ -133,6 +134,22 @@ def test_near_goals_are_tried_first_where_joints_turn_more_than_once():
     for seed in range(5):
         states = solve(problem, "birrt", ENOUGH, seed, near_goals_first=True).path.states
         assert np.abs(problem.goals[10:] - states[-1]).max(axis=1).min() < 1e-9
+
+
+@pytest.mark.parametrize("given", [False, True])
+def test_a_goal_near_the_start_is_searched_before_goals_at_other_turns(given):
+    """An xArm7 formerly moved 4 rad to a goal 1 cm above; given goals were searched all at once."""
+    robot = robot_from_source({"name": "xarm7"})
+    start = np.array([0.0, 0.3, 0.0, 1.2, 0.0, 0.9, 0.0])
+    above = robot.pose(start) + [[0, 0, 0, 0], [0, 0, 0, 0], [0, 0, 0, 0.01], [0, 0, 0, 0]]
+    region = symmetric_region(above, np.eye(4), [0.0] * 6)
+    problem = PlanningProblem("near", robot, Scene("e", ()), start, goal_region=region)
+    if given:
+        drawn = with_drawn_goals(problem).goals
+        problem = PlanningProblem("near", robot, Scene("e", ()), start, drawn[::-1])
+    for seed in range(3):
+        found = solve(problem, "roadmap", ENOUGH, seed, near_goals_first=True)
+        assert found.path.length < 0.1
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,12 @@ from cvqmpt_lab.collision.arrays import robot_arrays, robot_swing, scene_arrays
 from cvqmpt_lab.constraints.joint_coupling import JointCoupling
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, upright
 from cvqmpt_lab.planning.pipeline import with_drawn_goals
-from cvqmpt_lab.planning.usable import check_problem, usable_goals, why_no_goal
+from cvqmpt_lab.planning.usable import (
+    check_problem,
+    usable_goals,
+    why_no_goal,
+    with_projected_start,
+)
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import group_states, robot_from_source
 from cvqmpt_lab.scene.cells import map_of_points
@@ -83,7 +88,7 @@ def test_the_reasons_why_there_is_no_goal_are_named(problem):
     assert re.search(r'axis -?[xy] of the hand points up there, not z: write "axis": "', flat)
     goals = problem.goals[:3].copy()
     goals[:, 6] += np.where(goals[:, 6] < 0, 0.4, -0.4)
-    bounds = np.array([[-3.0, 3.0]] * 3 + [[-np.pi, np.pi]] * 3)
+    bounds = np.array([[-1.2, 1.2]] * 3 + [[-np.pi, np.pi]] * 3)
     wide = TaskSpaceRegion(np.eye(4), np.eye(4), bounds)
     left = replace(problem, goals=goals, goal_region=wide)
     told = "'goal_region' leaves the constraint: the best of 3 goals in it"
@@ -289,3 +294,20 @@ def test_an_unknown_joint_of_a_coupling_is_refused_with_the_file(tmp_path):
         f"{tmp_path / 'problem.json'}: unknown joint of robot gantry in joint-coupling 'left_rial'"
     )
     refused(told, problem_of, tmp_path, gantry(), states, ("left",), constraint=[bound])
+
+
+def test_a_base_inside_an_obstacle_is_named_where_the_start_collides(panda):
+    """The floor is 5 cm too high for the base, and reaches the shoulder."""
+    scene = Scene("room", (SceneObject("floor", Box((3.0, 3.0, 1.0)), pose((0.0, 0.0, -0.2))),))
+    start = np.array([0.0, -0.5, 0.0, -2.2, 0.0, 1.8, 0.8])
+    asked = PlanningProblem("sunk", panda, scene, start, start[None] + 0.1)
+    told = refused("start is in collision", check_problem, asked)
+    assert "the base stands in an obstacle, too (panda_link0" in told and "'base'" in told
+
+
+def test_no_projection_is_advised_where_the_projection_failed(problem):
+    far = TaskSpaceRegion(pose((1000.0, 0.0, 0.0)), np.eye(4), np.zeros((6, 2)))
+    told = refused(
+        "projection of the start fails", with_projected_start, problem.changed(constraint=(far,))
+    )
+    assert "--project-start" not in told

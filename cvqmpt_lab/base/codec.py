@@ -110,6 +110,16 @@ class Checked:
         return content_of([*_fields(self).values()])
 
 
+# what a JSON object without a schema is, by one of its fields
+UNNAMED_KINDS: Mapping[str, str] = {
+    "points": "a motion (cvqmpt certify MOTION PROBLEM judges it)",
+    "states": "a path (cvqmpt certify PATH PROBLEM judges it)",
+    "steps": "the list of a task's motions (cvqmpt certify FOLDER TASK judges them)",
+    "urdf": "a robot (give it after --robot)",
+    "objects": 'a scene (name it in a problem file, "scene": "FILE")',
+}
+
+
 class Document(Checked):
     """A value that is saved as a JSON file; its field "schema" names format and version."""
 
@@ -132,6 +142,8 @@ class Document(Checked):
         schema = fields.pop("schema", None)
         if schema != cls.SCHEMA:
             kind = cls.KINDS.get(schema if isinstance(schema, str) else "")
+            if schema is None:
+                kind = next((said for key, said in UNNAMED_KINDS.items() if key in fields), None)
             cure = f", {kind}" if kind else ""
             raise InvalidInputError(
                 f"schema is {shown(schema)}{cure}; this version reads {cls.SCHEMA!r}"

@@ -10,6 +10,8 @@ from cvqmpt_lab.base.errors import InvalidInputError
 if TYPE_CHECKING:
     from scipy.spatial import ConvexHull  # 0.3 s to import: each function imports it when called
 
+MIN_THICKNESS_M = 1e-4  # thinner hulls are refused: rounding errors would decide their faces
+
 
 def box_corners(low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """Corners (8, 3) of the box between its least and greatest corner (3,)."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import csv
 import fcntl
+import functools
 import importlib
 import io
 import json
@@ -128,11 +129,40 @@ def read_bytes(path: Path, what: str = "file") -> bytes:
         raise InvalidInputError(f"cannot read {what} {shown(str(path))}: {error}") from error
 
 
+# what a file is by its suffix where another kind was expected, and how to use it; {} is its name
+OTHER_KINDS = {
+    **dict.fromkeys(
+        (".stl", ".obj", ".dae", ".glb", ".off"),
+        'a mesh; name it in a problem file: "shape": {{"type": "mesh_file", "path": "{0}"}}',
+    ),
+    **dict.fromkeys(
+        (".pcd", ".ply", ".xyz", ".npy", ".las"),
+        "a cloud; write a scene from it with: cvqmpt scan {0} --out scene.json",
+    ),
+    **dict.fromkeys(
+        (".png", ".tif", ".tiff", ".exr"),
+        "an image; write a scene from a depth image with: cvqmpt scan {0} --out scene.json",
+    ),
+    **dict.fromkeys(
+        (".csv", ".npz", ".mcap"), "a motion; judge it with: cvqmpt certify {0} PROBLEM.json"
+    ),
+}
+
+
+def _refuse_other_kind(path: Path, what: str) -> None:
+    """Refuse a file whose suffix says that it is no `what` but a mesh, a cloud or a motion."""
+    path = Path(path)
+    told = OTHER_KINDS.get(path.suffix.lower())
+    if told is not None and path.is_file():
+        raise InvalidInputError(f"{path}, given as {what}, is {told.format(path.name)}")
+
+
 def read_text(path: Path, what: str = "file") -> str:
     """Read UTF-8 text as `read_bytes` does, without a byte order mark."""
     try:
         return read_bytes(path, what).decode().removeprefix("\ufeff")
     except UnicodeDecodeError as error:
+        _refuse_other_kind(path, what)
         raise InvalidInputError(f"{what} {path} is not UTF-8 text (byte {error.start})") from error
 
 
@@ -170,6 +200,7 @@ def xml_root(text: str, what: str) -> Element:
 
 def read_json_object(path: Path, what: str = "file") -> dict[str, Any]:
     """Read a file that holds one JSON object."""
+    _refuse_other_kind(path, what)
     return json_object(read_text(path, what), f"{what} {path}")
 
 
@@ -275,13 +306,60 @@ def csv_table(lines: Iterable[Iterable[object]]) -> str:
     return text.getvalue()
 
 
+YAML_UNITS: Mapping[str, float] = {
+    "!degrees": math.pi / 180.0,
+    "!radians": 1.0,
+    "!millimeters": 1e-3,
+    "!meters": 1.0,
+    "!inches": 0.0254,
+    "!foot": 0.3048,
+}
+"""Tags of xacro and rosparam for numbers, with the size of their unit [rad or m]."""
+
+
 def yaml_value(text: str) -> Any:
     """Return the value of a YAML text; refuse tags, aliases and repeated keys.
 
-    Nested aliases could need unlimited memory. Malformed text raises yaml's own errors. Marks of
-    the end, as `ros2 topic echo` prints them, are ignored.
+    Read are the tags of units, as xacro reads them, and the matrices and first line of OpenCV's
+    FileStorage. Nested aliases could need unlimited memory. Marks of the end, as `ros2 topic echo`
+    prints them, are ignored. InvalidInputError names line and column of malformed text.
     """
     import yaml  # imported here: most runs read no such file
+
+    text = re.sub(r"\A\ufeff?%YAML:1\.[0-9][ \t]*\r?\n", "", text)
+    text = re.sub(r"(?m)(^(---|\.\.\.)[ \t]*\r?\n?)+\Z", "", text)
+    try:
+        return yaml.load(text, _yaml_loader())
+    except yaml.MarkedYAMLError as error:
+        said = str(error.problem or error.context)
+        if "single document" in str(error):
+            said = (
+                "it has more than a single document; keep one, and remove the others with their "
+                "'---'"
+            )
+        elif "could not determine a constructor" in said:
+            tag = said.rpartition("tag ")[2].strip("'").replace("tag:yaml.org,2002:", "!!")
+            said = f"the tag {tag} is not read; write the value without it"
+        elif "unhashable key" in said:
+            said = "a key is a list or a mapping; write a name"
+        elif r"'\t'" in said:
+            said = "a tab; indent by blanks"
+        mark = error.problem_mark or error.context_mark
+        place = f"line {mark.line + 1}, column {mark.column + 1}: " if mark else ""
+        raise InvalidInputError(f"{place}{said}") from error
+    except InvalidInputError:
+        raise
+    except RecursionError as error:
+        raise InvalidInputError("lists or mappings are nested too deeply") from error
+    except Exception as error:  # yaml's own types raise all kinds of errors
+        said = " ".join(str(error).split())[:200]
+        raise InvalidInputError(f"it has a value that is none of its type: {said}") from error
+
+
+@functools.cache
+def _yaml_loader() -> type:
+    """Return the loader of `yaml_value`."""
+    import yaml
 
     class Loader(yaml.SafeLoader):
         def compose_node(self, parent: Any, index: Any) -> Any:
@@ -296,18 +374,22 @@ def yaml_value(text: str) -> Any:
                 raise InvalidInputError(f"key {twice!r} occurs twice")
             return super().construct_mapping(node, deep)
 
+    def with_unit(loader: Any, node: Any) -> float:
+        number = loader.construct_scalar(node)
+        try:
+            return float(number) * YAML_UNITS[node.tag]
+        except (TypeError, ValueError) as error:
+            raise InvalidInputError(
+                f"{node.tag} has {shown(number)}; write a number, such as {node.tag} 90.0"
+            ) from error
+
+    for tag in YAML_UNITS:
+        Loader.add_constructor(tag, with_unit)
+    Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", Loader.construct_yaml_map)
     # YAML 1.1 reads 1e-3 as text
     number = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
     Loader.add_implicit_resolver("tag:yaml.org,2002:float", number, list("-+.0123456789"))
-    text = re.sub(r"(?m)(^(---|\.\.\.)[ \t]*\r?\n?)+\Z", "", text)
-    try:
-        return yaml.load(text, Loader)
-    except yaml.composer.ComposerError as error:
-        if "single document" not in str(error):
-            raise
-        raise InvalidInputError(
-            "it has more than a single document; keep one, and remove the others with their '---'"
-        ) from error
+    return Loader
 
 
 def differences(before: object, now: object, name: str = "") -> list[str]:

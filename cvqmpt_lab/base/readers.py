@@ -17,7 +17,7 @@ from cvqmpt_lab.base.errors import (
     require_choice,
     shown,
 )
-from cvqmpt_lab.base.files import read_bytes
+from cvqmpt_lab.base.files import json_value, read_bytes, yaml_value
 
 NPZ_COMPRESSIONS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 
@@ -51,6 +51,20 @@ def read_by_suffix(
     data = read_bytes(path, what)
     with parsing(path, what), np.errstate(over="ignore", invalid="ignore"):
         return reader(data, *more)
+
+
+def plain_readers(
+    read: Callable[..., Any] = lambda value: value,
+) -> dict[str, Callable[..., Any]]:
+    """Return readers of json and yaml files by suffix: `read` gets the value, then the others."""
+
+    def of_json(data: bytes, *more: Any) -> Any:
+        return read(json_value(data.decode("utf-8-sig"), "it"), *more)
+
+    def of_yaml(data: bytes, *more: Any) -> Any:
+        return read(yaml_value(data.decode("utf-8-sig")), *more)
+
+    return {".json": of_json, ".yaml": of_yaml, ".yml": of_yaml}
 
 
 def kind_of(path: Path | str, kinds: Collection[str], what: str) -> str:

@@ -3,7 +3,7 @@
 import contextlib
 import math
 import operator
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from numbers import Integral, Real
 from typing import Annotated, Any, TypeAlias, TypeVar
@@ -27,6 +27,16 @@ def frozen(value: Kept) -> Kept:
         for part in value:
             frozen(part)
     return value
+
+
+NORMALISED = 100.0  # LeRobot's joint values go from -100 to 100, those of a gripper from 0
+
+
+def other_units(values: FloatArray | Sequence[float]) -> str:
+    """Return the question about units of joint values that are far outside their limits."""
+    if np.abs(values).max(initial=0.0) > NORMALISED:
+        return "degrees? Give radians"
+    return "degrees, or LeRobot's normalised values of -100 to 100? Give radians"
 
 
 def scalar(kind: type, value: Any, where: str) -> Any:

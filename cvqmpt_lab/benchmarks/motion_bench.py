@@ -249,8 +249,10 @@ def bench_robot(robot: str) -> Robot:
     folder = robot_file(robot, f"{robot}.urdf").parent
     require_digest(_listing(folder), f"{robot}/", folder)
     urdf, srdf = (str(robot_file(robot, f"{robot}.{end}")) for end in ("urdf", "srdf"))
+    # committed rows were planned with hulls
+    flags = {"hard_limits": True, "one_hull_a_mesh": True}
     return robot_from_source(
-        {"urdf": urdf, "srdf": srdf, "end_effector": BENCH_HANDS[robot], "hard_limits": True}
+        {"urdf": urdf, "srdf": srdf, "end_effector": BENCH_HANDS[robot], **flags}
     )
 
 

@@ -4,6 +4,7 @@
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,6 +15,7 @@ from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.benchmarks.two_arms import two_arms_template
 from cvqmpt_lab.collision.exact import CollisionChecker
+from cvqmpt_lab.constraints.function import FunctionConstraint
 from cvqmpt_lab.constraints.goals import SAMPLE_MARGIN_M, goals_in_any_posture
 from cvqmpt_lab.constraints.named import rpy_of, upper_axis
 from cvqmpt_lab.constraints.no_goal import hand_reach
@@ -22,6 +24,7 @@ from cvqmpt_lab.constraints.task_space_region import FREE, ROWS_TEXT, Axis, Task
 from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import robot_from_source
+from cvqmpt_lab.robot.pairs import cure_of_overlap
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.search.result import Budget
@@ -77,8 +80,14 @@ TABLE_LAYOUTS = (
 )
 
 
-def problem_template(source: Mapping[str, Any]) -> dict[str, Any]:
+def problem_template(
+    source: Mapping[str, Any], functions: Sequence[FunctionConstraint] = ()
+) -> dict[str, Any]:
     """Return json of a problem that birrt solves, for the json of a robot.
+
+    Args:
+        source: the json of the robot.
+        functions: constraints that start and goal keep, too; the json does not name them.
 
     Raises:
         InvalidInputError: no such problem is found, or nothing of the robot can collide.
@@ -94,6 +103,11 @@ def problem_template(source: Mapping[str, Any]) -> dict[str, Any]:
         "_comment": PROBLEM_COMMENTS["problem"],
     }
     if len(robot.end_effectors) > 1:
+        if functions:
+            raise InvalidInputError(
+                f"--constraint {functions[0].name}: problems new finds no start of two hands that "
+                f"keeps it; give one hand of {robot.name}: cvqmpt robot --end-effector"
+            )
         return {**head, **two_arms_template(source), "_comment": PROBLEM_COMMENTS["two arms"]}
     plain: dict[str, Any] = {**head, "name": "mine", "robot": dict(source)}
     for layout in TABLE_LAYOUTS:
@@ -107,16 +121,24 @@ def problem_template(source: Mapping[str, Any]) -> dict[str, Any]:
                     "upright": {"tilt": TEMPLATE_TILT_RAD, "axis": axis},
                 },
             }
-            for start, goal in _ends(robot, from_plain(Scene, scene), layout, top, axis):
+            ends = _ends(robot, from_plain(Scene, scene), layout, top, axis, functions)
+            for start, goal in ends:
                 joints = dict(zip(robot.joint_names, start.tolist(), strict=True))
-                made = {**begun, "start": joints, **_goal(robot, goal)}
+                # poses around a goal need not have configurations that keep functions
+                goals = {"goals": [goal.tolist()]} if functions else _goal(robot, goal)
+                made = {**begun, "start": joints, **goals}
                 blocked = layout is not TABLE_LAYOUTS[-1]
-                if _solved(PlanningProblem.from_dict(made), blocked):
+                problem = PlanningProblem.from_dict(made)
+                kept = replace(problem, constraint=(*problem.constraint, *functions))
+                # a function in Python takes long
+                if _solved(kept, blocked, iterations=100 if functions else 1000):
                     return made
+    asked = "".join(f", keep {function.describe()}" for function in functions)
+    overlap = cure_of_overlap(robot)
     raise InvalidInputError(
         f"no start and goal were found for robot {robot.name} that keep {TEMPLATE_TILT_RAD} rad of "
-        "tilt and can be planned; write a problem by hand, `cvqmpt problems new` for the panda "
-        "shows how"
+        f"tilt{asked} and can be planned; {overlap}{'; or ' if overlap else ''}write a problem by "
+        "hand, `cvqmpt problems new` for the panda shows how"
     )
 
 
@@ -160,12 +182,12 @@ def with_limits(source: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
     return {**source, **limits}, notes
 
 
-def _solved(problem: PlanningProblem, blocked: bool) -> bool:
+def _solved(problem: PlanningProblem, blocked: bool, iterations: int) -> bool:
     """Return whether a path is found, and, if `blocked`, no straight motion leads to a goal.
 
     Every second goal is left out: those are turned by whole turns towards the start.
     """
-    solution = solve(problem, "birrt", Budget(iterations=1000), seed=0)
+    solution = solve(problem, "birrt", Budget(iterations=iterations), seed=0)
     if not solution.solved or solution.path is None:
         return False
     if not blocked:
@@ -240,7 +262,12 @@ def _goal(robot: Robot, goal: np.ndarray) -> dict[str, Any]:
 
 
 def _ends(
-    robot: Robot, scene: Scene, layout: TableLayout, top: float, axis: Axis
+    robot: Robot,
+    scene: Scene,
+    layout: TableLayout,
+    top: float,
+    axis: Axis,
+    functions: Sequence[FunctionConstraint],
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Yield pairs of free configurations (n,) on the manifold at both sides of the wall.
 
@@ -250,6 +277,7 @@ def _ends(
         layout: layout of the scene and the hand.
         top: height of the table [m].
         axis: axis of the end effector that points up.
+        functions: further constraints.
     """
     checker = CollisionChecker(robot, scene, margin=SAMPLE_MARGIN_M)
     reach, origin = hand_reach(robot), robot.kinematics.translation[0]
@@ -260,7 +288,9 @@ def _ends(
         around = layout.around * reach
         bounds = np.array([[-around, around]] * 3 + [[-FREE, FREE]] * 3)
         region = TaskSpaceRegion(place, np.eye(4), bounds)
-        manifold = RegionConstraint(robot, (upright(TEMPLATE_TILT_RAD / 2, axis), region))
+        manifold = RegionConstraint(
+            robot, (upright(TEMPLATE_TILT_RAD / 2, axis), region, *functions)
+        )
         sides.append(_central(robot, manifold, checker))
     tried = 0
     for start in sides[0][:12]:
@@ -285,7 +315,8 @@ def _central(
         landed = manifold.project(middle + 0.5 * (q - middle))
         if landed is None:
             continue
-        landed = landed.round(4).clip(robot.lower, robot.upper)
+        if not manifold.functions:  # rounded, it could leave a function
+            landed = landed.round(4).clip(robot.lower, robot.upper)
         if not checker.in_collision(landed):
             found.append(landed)
     return sorted(found, key=lambda q: float(np.linalg.norm(q - middle)))

@@ -25,6 +25,7 @@ from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.load import robot_from_source
+from cvqmpt_lab.robot.pairs import cure_of_overlap
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box
@@ -302,8 +303,10 @@ def two_arms_template(source: Mapping[str, Any], numbers: int = 10) -> dict[str,
             if solution.solved:
                 joints = dict(zip(robot.joint_names, made.start.tolist(), strict=True))
                 return {**made.to_dict(), "robot": dict(source), "start": joints}
+    overlap = cure_of_overlap(robot)
     raise InvalidInputError(
-        f"no tray or box was found that both hands of robot {robot.name} can move; name other "
+        f"no tray or box was found that both hands of robot {robot.name} can move; "
+        f"{overlap}{'; or ' if overlap else ''}name other "
         "--end-effectors, or write a problem by hand: `cvqmpt problems new --robot baxter` shows "
         "how"
     )

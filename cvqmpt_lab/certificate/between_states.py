@@ -5,10 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.base.polyline import numbered_parts, parts_within, states_between
 from cvqmpt_lab.base.values import frozen
 from cvqmpt_lab.constraints.bounds_between import ROTATION_RATE, bound_between, longest_lever
-from cvqmpt_lab.constraints.constraint import Constraint
+from cvqmpt_lab.constraints.constraint import Constraint, real_values
 from cvqmpt_lab.constraints.task_space_region import UNITS, TaskSpaceRegion, displaced, excess
 from cvqmpt_lab.robot.joint_frames import poses_at_once
 from cvqmpt_lab.robot.robot import Robot
@@ -110,11 +111,11 @@ def function_violation(
         most_states: with more, it is not proven.
     """
     q = evenly_spaced(states, spacing)
-    between = function.bound_between(q)
+    between = function.proven_between(q)
     if between is None:
         q = evenly_spaced(states, fine)
     while True:
-        largest = np.abs(function.own_residual(q)).max(axis=1, initial=0.0)
+        largest = np.abs(_values(function, q)).max(axis=1, initial=0.0)
         largest[~np.isfinite(largest)] = np.inf
         worst = int(largest.argmax())
         if between is None or largest[worst] > tolerance:
@@ -129,7 +130,7 @@ def function_violation(
         if counts.sum() > most_states:
             break
         q = _cut(q, counts)
-        between = function.bound_between(q)
+        between = function.proven_between(q)
     text = ""
     if largest[worst] > tolerance:
         text = f"off the constraint {function.describe()} by {largest[worst]:.3g}"
@@ -142,6 +143,20 @@ def function_violation(
             )
     unproven = len(q) if between is None else 0
     return FunctionViolation(float(largest[worst]), q[worst], unproven, text)
+
+
+def _values(function: Constraint, q: np.ndarray) -> np.ndarray:
+    """Return F (m, dim) of a function at states (m, n); InvalidInputError for anything else."""
+    try:
+        F = real_values(function.own_residual(q))
+    except TypeError as error:
+        raise InvalidInputError(f"constraint {function.describe()}: F: {error}") from error
+    if F.shape != (len(q), function.dim):
+        raise InvalidInputError(
+            f"constraint {function.describe()}: F of {len(q)} states has shape {F.shape}; needed: "
+            f"({len(q)}, {function.dim})"
+        )
+    return F
 
 
 def least_slack(

@@ -50,6 +50,7 @@ class FaultKind(StrEnum):
     COLLISION = "collision"
     NOT_PROVEN = "not_proven"
     VELOCITY = "velocity"
+    VELOCITY_JUMP = "velocity_jump"
     ACCELERATION = "acceleration"
     JERK = "jerk"
     EFFORT = "effort"
@@ -86,11 +87,15 @@ class Clearance(NamedTuple):
 
 
 class Deviation(NamedTuple):
-    """Deviation of a motion at which no piece collides and no bound of positive width is broken."""
+    """Deviations of a motion, of which each alone breaks no bound of positive width.
 
-    points_m: float  # deviation of every point of the robot and its load
-    hand_rad: float  # rotation of the hand
-    joints: float  # deviation of all joints at once, without others [rad or m]
+    With both of the first two at once no bound is broken, either.
+    """
+
+    # deviation of every point of the robot and its load: no collision, no bound of position broken
+    points_m: float
+    hand_rad: float  # rotation of the hand about its origin: no bound broken
+    joints: float  # deviation of all joints at once: no collision, no bound broken [rad or m]
 
     def __str__(self) -> str:
         """Return the deviation in words."""
@@ -267,6 +272,8 @@ def deviation_tolerated(
         clearances: from obstacles, and of the robot's own pieces.
         deviation: deviation of the motion from straight lines between states [m].
     """
+    from cvqmpt_lab.certificate.tolerated import levers_of  # for exact clearances alone
+
     robot, regions = problem.robot, problem.regions
     to_obstacles, to_itself = clearances
     free = [np.inf]
@@ -274,21 +281,24 @@ def deviation_tolerated(
         free.append(to_obstacles.at_least_m)
     if to_itself:
         free.append(to_itself.at_least_m / 2)  # both pieces of the pair may move
-    points, hand = min(free), np.inf
+    points, hand = max(min(free) - deviation, 0.0), np.inf
     # bounds on translation and rotation of a region's frame by all joints together
     moved, turned = points, hand
     arms = [float(np.linalg.norm(np.linalg.inv(region.Tw_e)[:3, 3])) for region in regions]
     for region, arm in zip(regions, arms, strict=True):
         radians, metres = least_slack(robot, (region,), states, CHECK_SPACING_RAD)
+        frame = levers_of(robot, region)
+        if deviation > 0.0:  # of the points, between the motion and the straight lines
+            metres = max(metres - frame.way * deviation, 0.0)
+            radians = max(radians - frame.turn * deviation, 0.0)
         moved, turned = min(moved, metres), min(turned, radians)
         # both links of a relative region move, so its lever is twice the reach
         links = 2 if isinstance(region, TaskSpaceRegionChain) else 1
         lever = arm if links == 1 else 2.0 * (robot.reach + arm)
         share = 0.5 if lever > 0.0 else 1.0  # the other half is for what turns through the lever
-        points = min(points, share * metres / links)
+        if np.isfinite(metres):
+            points = min(points, share * metres / links, metres / frame.way)
         hand = min(hand, radians / links, metres / (2.0 * lever) if lever > 0.0 else np.inf)
-    points, hand = max(points - deviation, 0.0), max(hand - deviation, 0.0)
-    moved, turned = max(moved - deviation, 0.0), max(turned - deviation, 0.0)
     carried = reach_with(robot, problem.attachments) - robot.reach
     levers = robot.levers(max([carried, *arms]))
     for region in regions:

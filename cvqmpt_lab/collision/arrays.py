@@ -42,9 +42,11 @@ def robot_arrays(robot: Robot, attachments: tuple[Attachment, ...] = ()) -> Robo
     specs = [
         ShapeSpec(HULL, piece.T_link_geometry, vertices=piece.vertices) for piece in robot.links
     ]
-    whole = list[int]()  # large ones that stand still stay in one piece
+    # large ones that stand still, or that sliders alone move, as a gantry's, stay in one piece
+    whole = list[int]()
+    turned = ~robot.kinematics.prismatic @ robot.kinematics.moves
     for k, (spec, piece) in enumerate(zip(specs, robot.links, strict=True)):
-        if piece.link != 0:
+        if turned[piece.link]:
             _require_few_pieces(f"link geometry {piece.name!r}", spec)
         elif _too_many_pieces(spec):
             whole.append(k)

@@ -6,6 +6,7 @@ from itertools import combinations
 import numpy as np
 
 from cvqmpt_lab.base.errors import InvalidInputError
+from cvqmpt_lab.robot.reach import MAX_REACH_M
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Attachment
 
@@ -39,18 +40,20 @@ def _holding(robot: Robot, attachments: Sequence[Attachment]) -> list[list[int]]
 def reach_with(robot: Robot, attachments: Sequence[Attachment], longest: float = 20.0) -> float:
     """Radius [m] of a ball around the base that robot and attachments cannot leave.
 
-    Raises InvalidInputError if the robot or an attachment reaches further than `longest` [m]: the
-    distance grid would take all memory. The usual cause is a wrong unit.
+    Raises InvalidInputError if an attachment reaches further than `longest` [m] from its hand, or
+    the robot, with a door, further than robots may. The usual cause is a wrong unit.
     """
     carried = [
         float(np.linalg.norm(item.T_hand_object[:3, 3])) + item.shape.bounding_radius
         for item in attachments
     ]
-    names = [f"robot {robot.name}", *(f"attachment {item.name!r}" for item in attachments)]
-    for name, length in zip(names, (robot.reach, *carried), strict=True):
-        if not length <= longest:
+    reaches = [(f"robot {robot.name}", robot.reach, MAX_REACH_M)]
+    names = [f"attachment {item.name!r}" for item in attachments]
+    reaches += [(name, length, longest) for name, length in zip(names, carried, strict=True)]
+    for name, length, most in reaches:
+        if not length <= most:
             raise InvalidInputError(
-                f"{name} reaches {length:.3g} m, more than {longest:g}: give positions, sizes and "
+                f"{name} reaches {length:.3g} m, more than {most:g}: give positions, sizes and "
                 "slider limits in metres"
             )
     return robot.reach + max(carried, default=0.0)

@@ -302,6 +302,19 @@ class CollisionChecker:
             text += f", closer than the clearance of {1e3 * self._clearance:g} mm"
         return text
 
+    def standing_inside(self) -> Nearest:
+        """Deepest overlap of a piece of the standing base with an obstacle, which is no pair."""
+        nearest, (_, objects) = Nearest(0.0, None), self._world(0.0)
+        for item in self._geometry.geometryObjects:
+            if item.parentJoint != 0:
+                continue
+            placed = coal.CollisionObject(item.geometry, transform(item.placement.homogeneous))
+            for obstacle, other in zip(self._obstacles, objects, strict=True):
+                distance = coal_distance(placed, other)
+                if distance < nearest.distance:
+                    nearest = Nearest(distance, CollidingPair(item.name, obstacle.name))
+        return nearest
+
     def _own_pair(self, k: int) -> CollidingPair:
         pair, objects = self._geometry.collisionPairs[k], self._geometry.geometryObjects
         return CollidingPair(objects[pair.first].name, objects[pair.second].name)

@@ -11,11 +11,12 @@ import ctypes
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from functools import cached_property
+from numbers import Real
 from typing import Any, Self
 
 import numpy as np
 
-from cvqmpt_lab.base.errors import InvalidInputError
+from cvqmpt_lab.base.errors import InvalidInputError, shown
 from cvqmpt_lab.constraints.regions import FunctionRows, Regions, no_regions
 from cvqmpt_lab.robot.robot import Robot
 
@@ -62,6 +63,26 @@ class Constraint(ABC):
         ends by at most entry i [m, rad]. None: no bound is known.
         """
         return None
+
+    def proven_between(self, states: np.ndarray) -> np.ndarray | None:
+        """Return `bound_between` (k - 1,); InvalidInputError for what bounds nothing."""
+        found = self.bound_between(states)
+        if found is None:
+            return None
+        bounds = real_values(found)
+        what = f"constraint {self.describe()}: bound_between"
+        if bounds.shape != (len(states) - 1,):
+            raise InvalidInputError(
+                f"{what} has shape {bounds.shape}; needed: ({len(states) - 1},), one of each motion"
+            )
+        wrong = ~((bounds >= 0.0) & (bounds < np.inf))
+        if wrong.any():
+            k = int(wrong.argmax())
+            raise InvalidInputError(
+                f"{what} is {bounds[k]:g} from {states[k].tolist()} to {states[k + 1].tolist()}; "
+                "it must be finite, and 0 or more"
+            )
+        return bounds
 
     @property
     def rows(self) -> FunctionRows:
@@ -128,7 +149,7 @@ class PythonRows:
             try:
                 given = np.frombuffer(ctypes.string_at(q, 8 * n))  # read-only, and fast
                 found = jacobian(given) if derivative else residual(given)
-                values, size = np.asarray(found, dtype=float).tobytes(), m * n if derivative else m
+                values, size = real_values(found).tobytes(), m * n if derivative else m
                 if len(values) != 8 * size:
                     raise InvalidInputError(
                         f"{constraint.describe()}: {'J' if derivative else 'F'} has "
@@ -141,6 +162,20 @@ class PythonRows:
                 return 1
 
         return call
+
+
+def real_values(value: Any) -> np.ndarray:
+    """Return what a user's function returned as floats; TypeError for what are no real numbers."""
+    if type(value) is np.ndarray and value.dtype == np.float64:
+        return value  # at once, as this runs at every call
+    array = np.asarray(value)
+    if array.dtype.kind not in "fiuO":
+        kinds = {"c": "complex numbers", "b": "True or False"}
+        what = kinds.get(array.dtype.kind, f"values of type {array.dtype}")
+        raise TypeError(f"{what} are returned; return real numbers")
+    if array.dtype.kind == "O" and not all(isinstance(one, Real) for one in array.flat):
+        raise TypeError(f"{shown(value)} is returned; return real numbers")
+    return array.astype(float, copy=False)
 
 
 def with_functions(regions: Regions, functions: Sequence[FunctionRows], inset: float) -> Regions:

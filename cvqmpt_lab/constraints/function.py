@@ -2,25 +2,29 @@
 
 import inspect
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache, cached_property
 from itertools import pairwise
+from numbers import Real
 from typing import Any
 
 import numpy as np
 
-from cvqmpt_lab.base.errors import CvqmptError, InvalidInputError
+from cvqmpt_lab.base.errors import CvqmptError, InvalidInputError, shown
 from cvqmpt_lab.base.modules import described
 from cvqmpt_lab.base.polyline import step_lengths
-from cvqmpt_lab.base.values import frozen
-from cvqmpt_lab.constraints.constraint import Constraint, Evaluated
+from cvqmpt_lab.base.values import frozen, numbers
+from cvqmpt_lab.constraints.constraint import Constraint, Evaluated, real_values
 from cvqmpt_lab.constraints.regions import FunctionRows
 
 Bound = float | Callable[[np.ndarray, np.ndarray], float]
+Limit = float | Sequence[float | None] | np.ndarray | None
 
 
 class FunctionConstraint(Constraint):
-    """A constraint F(q) = 0 of the user's own, beside or instead of regions.
+    """A constraint F(q) = 0, or lower <= F(q) <= upper, of the user's own, or beside regions.
+
+    With bounds, `residual` is the signed distance of F outside them, and 0 inside.
 
     Functions take q as (n,) and return (dim,); faster are those that also take (b, n) and return
     (b, dim). A function that numba compiled, and its Jacobian, run at machine speed. They take one
@@ -33,9 +37,12 @@ class FunctionConstraint(Constraint):
         jacobian: dF/dq (dim, n), or (b, dim, n); None: central differences.
         bound: a Lipschitz constant of every entry of F [units per rad or m of the joints together],
             or a function of two states (n,) that returns by how much the largest ``|F_i|`` between
-            them can exceed its larger value at both. With it, motions are proven; without, checked.
+            them, or distance of an F_i outside its bounds, can exceed its larger value at both.
+            With it, motions are proven; without, checked.
         name: what reports call it; the name of the function if it is empty.
         units: of F, for reports.
+        lower: lower bound of all entries of F, or of each; None: no bound, or 0 without `upper`.
+        upper: upper bound of all entries of F, or of each; None: no bound, or 0 without `lower`.
     """
 
     # where problem files and other processes find it: address and fields
@@ -50,9 +57,11 @@ class FunctionConstraint(Constraint):
         jacobian: Callable[..., Any] | None = None,
         bound: Bound | None = None,
         name: str = "",
-        units: str = "rad or m",
+        units: str = "",
+        lower: Limit = None,
+        upper: Limit = None,
     ) -> None:
-        self._dim, self._function, self._derivative, self._bound = dim, residual, jacobian, bound
+        self._dim, self._function, self._derivative = dim, residual, jacobian
         self.name, self.units = name or getattr(residual, "__name__", "F"), units
         self._takes_batches: dict[Any, bool] = {}
         self.accepted: set[Any] = set()  # robots and starts for which it passed all checks
@@ -60,12 +69,70 @@ class FunctionConstraint(Constraint):
             raise InvalidInputError(f"constraint {self.name}: residual and jacobian are functions")
         if isinstance(dim, bool) or not isinstance(dim, int) or dim < 1:
             raise InvalidInputError(f"constraint {self.name}: dim is {dim!r}; give 1 or more")
-        if isinstance(bound, int | float) and not 0.0 < bound < np.inf:
-            raise InvalidInputError(
-                f"constraint {self.name}: bound is {bound:g}; give a Lipschitz constant above 0"
-            )
+        self._bound = self._read_bound(bound)
+        self._keep_limits(lower, upper)
         if self.compiled and jacobian is not None and not hasattr(jacobian, "py_func"):
             raise InvalidInputError(f"constraint {self.name}: compile its Jacobian by numba, too")
+
+    def _read_bound(self, bound: Any) -> Bound | None:
+        """Return a bound as a float or function; refuse what bounds nothing."""
+        if bound is None or callable(bound):
+            return bound
+        real = isinstance(bound, Real) and not isinstance(bound, bool)
+        if not real or not 0.0 < float(bound) < np.inf:
+            raise InvalidInputError(
+                f"constraint {self.name}: bound is {shown(bound)}; give a Lipschitz constant above "
+                "0, or a function of two states"
+            )
+        return float(bound)
+
+    def _keep_limits(self, lower: Limit, upper: Limit) -> None:
+        """Set lower and upper bounds (dim,) of F; refuse an entry that is not bounded."""
+        if lower is None and upper is None:
+            lower = upper = 0.0
+        low, high = (
+            self._read_limit(*given)
+            for given in (("lower", lower, -np.inf), ("upper", upper, np.inf))
+        )
+        for k, (least, most) in enumerate(zip(low.tolist(), high.tolist(), strict=True)):
+            if not (least <= most and least < np.inf and most > -np.inf):
+                raise InvalidInputError(
+                    f"constraint {self.name}: entry {k} of F is bounded by lower {least:g}, upper "
+                    f"{most:g}; lower <= upper is needed"
+                )
+            if least == -np.inf and most == np.inf:
+                raise InvalidInputError(
+                    f"constraint {self.name}: entry {k} of F has neither a lower nor an upper "
+                    "bound: leave it out"
+                )
+        self.lower, self.upper = low, high
+        self.equation = not (low.any() or high.any())  # F(q) = 0
+
+    def _read_limit(self, name: str, limit: Limit, free: float) -> np.ndarray:
+        """Return one bound of each entry of F (dim,); `free` stands for None."""
+        given: Any = free if limit is None else limit
+        if isinstance(given, list | tuple):
+            given = [free if one is None else one for one in given]
+        where = f"constraint {self.name}: {name}"
+        found = numbers(given, where).ravel()
+        if len(found) not in (1, self.dim):
+            raise InvalidInputError(
+                f"{where} has {len(found)} numbers; give one, or one for each of the {self.dim} "
+                "entries of F"
+            )
+        return frozen(np.broadcast_to(found, self.dim).copy())
+
+    def within(self, lower: Limit = None, upper: Limit = None) -> "FunctionConstraint":
+        """Return a copy with other bounds of F; None: its own bound remains."""
+        made = object.__new__(type(self))  # copy() would load it again by its address
+        vars(made).update(vars(self))
+        if not self.equation:
+            lower = self.lower if lower is None else lower
+            upper = self.upper if upper is None else upper
+        made._keep_limits(lower, upper)
+        made.accepted = set()
+        vars(made).pop("_calls", None)
+        return made
 
     @property
     def dim(self) -> int:
@@ -88,15 +155,27 @@ class FunctionConstraint(Constraint):
         return self._derivative is None
 
     def describe(self) -> str:
-        """Return name, size and units."""
+        """Return name, bounds, size and units: "height >= 0.5 (1 entry [m])"."""
         entries = "1 entry" if self.dim == 1 else f"{self.dim} entries"
-        return f"{self.name} = 0 ({entries} [{self.units}])"
+        units = f" [{self.units}]" if self.units else ""
+        return f"{self._bounds_text()} ({entries}{units})"
+
+    def _bounds_text(self) -> str:
+        low, high = (_one_or_all(limits) for limits in (self.lower, self.upper))
+        if np.array_equal(self.lower, self.upper):
+            return f"{self.name} = {low}"
+        if np.isneginf(self.lower).all():
+            return f"{self.name} <= {high}"
+        if np.isposinf(self.upper).all():
+            return f"{self.name} >= {low}"
+        return f"{low} <= {self.name} <= {high}"
 
     @property
     def code(self) -> str:
         """Source of F, its Jacobian and a bound that is a function, with their names."""
         given = self._function, self._derivative, self._bound
-        return "".join(source_of(one) for one in given if callable(one))
+        code = "".join(source_of(one) for one in given if callable(one))
+        return code if self.equation else f"{code}\nbounds {self._bounds_text()}"
 
     def price(self, q: np.ndarray, calls: int = 20) -> str:
         """Return how F is called, in words, with its time at q (n,), the best of three times."""
@@ -112,23 +191,43 @@ class FunctionConstraint(Constraint):
         return f"Python, {1e6 * min(times):.3g} µs a call{slopes}"
 
     def residual(self, q: np.ndarray) -> np.ndarray:
-        """Return F(q), (dim,) or (b, dim), by machine code where it exists."""
-        if not self.compiled:
-            return self.own_residual(q)
-        return self._filled(self._in_place[0], np.asarray(q), (self.dim,))
+        """Return F(q), (dim,) or (b, dim), by machine code where it exists; see `outside`."""
+        return self.outside(self.values(q))
 
     def own_residual(self, q: np.ndarray) -> np.ndarray:
-        """Return F(q), (dim,) or (b, dim), by the user's Python function."""
+        """Return F(q), (dim,) or (b, dim), by the user's Python function; see `outside`."""
+        return self.outside(self.own_values(q))
+
+    def jacobian(self, q: np.ndarray) -> np.ndarray:
+        """Return dF/dq, (dim, n) or (b, dim, n); entries inside bounds are 0."""
+        slopes, wide = self.slopes(q), self.lower < self.upper
+        if not wide.any():
+            return slopes
+        return np.where((wide & (self.residual(q) == 0.0))[..., None], 0.0, slopes)
+
+    def outside(self, values: np.ndarray) -> np.ndarray:
+        """Return the signed distance of F (..., dim) outside its bounds."""
+        F: np.ndarray = values if self.equation else values - values.clip(self.lower, self.upper)
+        return F
+
+    def values(self, q: np.ndarray) -> np.ndarray:
+        """Return what F returns, (dim,) or (b, dim), by machine code where it exists."""
+        if not self.compiled:
+            return self.own_values(q)
+        return self._filled(self._in_place[0], np.asarray(q), (self.dim,))
+
+    def own_values(self, q: np.ndarray) -> np.ndarray:
+        """Return what F returns, (dim,) or (b, dim), by the user's Python function."""
         own = getattr(self._function, "py_func", self._function)
         fills = self.compiled and self._in_place[0] is self._function
         return (self._filled if fills else self._called)(own, np.asarray(q), (self.dim,))
 
-    def jacobian(self, q: np.ndarray) -> np.ndarray:
-        """Return dF/dq, (dim, n) or (b, dim, n)."""
+    def slopes(self, q: np.ndarray) -> np.ndarray:
+        """Return dF/dq, (dim, n) or (b, dim, n), also inside bounds."""
         q = np.asarray(q, dtype=float)
         shape = (self.dim, q.shape[-1])
         if self._derivative is None:
-            return differences(self.residual, q)
+            return differences(self.values, q)
         if self.compiled:
             return self._filled(self._in_place[1], q, shape)
         return self._called(self._derivative, q, shape)
@@ -154,8 +253,9 @@ class FunctionConstraint(Constraint):
                 F, slopes = with_slopes(q)
                 found = q.tobytes(), slopes
             else:
-                F = np.asarray(function(q), dtype=float)
-            far, stepping = max(map(abs, F.ravel().tolist())) > 0.01, False
+                F = real_values(function(q))
+            beyond = self.outside(F.ravel()).tolist()
+            far, stepping = max(map(abs, beyond)) > 0.01, False
             return F
 
         def jacobian(q: np.ndarray) -> np.ndarray:
@@ -170,14 +270,25 @@ class FunctionConstraint(Constraint):
         if self._bound is None:
             return None
         if callable(self._bound):
-            try:
-                return np.array([float(self._bound(a, b)) for a, b in pairwise(states)])
-            except Exception as error:
-                raise InvalidInputError(
-                    f"constraint {self.name}: bound raises {described(error)}; it takes two states "
-                    "(n,) and returns a number"
-                ) from error
+            return np.array([self._bound_of(a, b) for a, b in pairwise(states)])
         return 0.5 * self._bound * step_lengths(states)
+
+    def _bound_of(self, a: np.ndarray, b: np.ndarray) -> float:
+        """Return the bound between two states (n,); refuse one that bounds nothing."""
+        try:
+            found = real_values(self._bound(a, b))  # type: ignore[operator, misc] # is callable
+            (said,) = found.ravel()
+        except Exception as error:
+            raise InvalidInputError(
+                f"constraint {self.name}: bound raises {described(error)}; it takes two states "
+                "(n,) and returns a number"
+            ) from error
+        if not 0.0 <= said < np.inf:
+            raise InvalidInputError(
+                f"constraint {self.name}: bound is {said:g} from {a.tolist()} to {b.tolist()}; it "
+                "must be finite, and 0 or more; without a bound, leave it out"
+            )
+        return float(said)
 
     def reraise(self) -> None:
         """Raise what Python code raised inside compiled code; functions of numba raise nothing."""
@@ -187,10 +298,8 @@ class FunctionConstraint(Constraint):
     @property
     def rows(self) -> FunctionRows:
         """The function at an address: machine code, or a callback."""
-        if not self.compiled:
-            return super().rows
-        none = np.zeros(self.dim)
-        return FunctionRows(self._machine_code.address, none, none)
+        made = self._machine_code if self.compiled else self._calls
+        return FunctionRows(made.address, self.lower, self.upper)
 
     @cached_property
     def _machine_code(self) -> Any:
@@ -227,7 +336,7 @@ class FunctionConstraint(Constraint):
 
     def _filled(self, function: Any, q: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
         """Return what a function (q, out) of one state writes, for q (n,) or (b, n)."""
-        out = np.empty((*q.shape[:-1], *shape))
+        out = np.full((*q.shape[:-1], *shape), np.nan)  # entries that it leaves out are found
         for one, row in zip(np.atleast_2d(q), out.reshape(-1, *shape), strict=True):
             self._told(function, function, np.ascontiguousarray(one, dtype=float), row)
         return out
@@ -248,7 +357,7 @@ class FunctionConstraint(Constraint):
         if q.flags.writeable:  # a function that changes its argument is told so
             q = q.copy()
             q.flags.writeable = False
-        value = self._told(function, lambda at: _real(function(at)), q)
+        value = self._told(function, lambda at: real_values(function(at)), q)
         if value.shape == shape:
             return value
         if value.size != int(np.prod(shape)):
@@ -269,12 +378,10 @@ class FunctionConstraint(Constraint):
         return np.allclose(together, alone, equal_nan=True)
 
 
-def _real(value: Any) -> np.ndarray:
-    """Return what a user's function returned as floats; complex numbers are refused."""
-    array = np.asarray(value)
-    if array.dtype.kind == "c":
-        raise TypeError("complex numbers are returned; return real ones")
-    return array.astype(float, copy=False)
+def _one_or_all(limits: np.ndarray) -> str:
+    """Return bounds (dim,) in words: one number if all are equal."""
+    texts = [f"{limit:g}" for limit in limits.tolist()]
+    return texts[0] if len(set(texts)) == 1 else f"[{', '.join(texts)}]"
 
 
 def source_of(function: Any) -> str:
@@ -377,7 +484,9 @@ def torch_constraint(
     function: Callable[[Any], Any],
     bound: Bound | None = None,
     name: str = "",
-    units: str = "rad or m",
+    units: str = "",
+    lower: Limit = None,
+    upper: Limit = None,
 ) -> FunctionConstraint:
     """Return the constraint of a torch function, whose Jacobian torch computes.
 
@@ -387,6 +496,8 @@ def torch_constraint(
         bound: see `FunctionConstraint`.
         name: see `FunctionConstraint`.
         units: of F, for reports.
+        lower: see `FunctionConstraint`.
+        upper: see `FunctionConstraint`.
     """
     import torch  # a second to import
 
@@ -404,4 +515,4 @@ def torch_constraint(
         return evaluated
 
     name = name or getattr(function, "__name__", "F")
-    return FunctionConstraint(dim, of(function), of(slopes), bound, name, units)
+    return FunctionConstraint(dim, of(function), of(slopes), bound, name, units, lower, upper)

@@ -12,6 +12,9 @@ from cvqmpt_lab.base.modules import described
 from cvqmpt_lab.constraints.function import FunctionConstraint, differences
 from cvqmpt_lab.constraints.region_constraint import FunctionMember
 from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.scene.scene import log
+
+TOLERANCE = 5e-4  # of |F| in certificates, `certificate.CERTIFICATE_TOLERANCE`
 
 
 def check_function(function: FunctionMember, robot: Robot, start: np.ndarray) -> None:
@@ -37,8 +40,8 @@ def check_function(function: FunctionMember, robot: Robot, start: np.ndarray) ->
     draws = robot.random_configurations(np.random.default_rng(0), 20)
     states = np.concatenate([start[None], draws])
     with np.errstate(all="ignore"):  # the error says where it is not finite
-        values, own = function.own_residual(states), function.residual(states)
-        slopes, measured = function.jacobian(states), differences(function.own_residual, states)
+        values, own = function.own_values(states), function.values(states)
+        slopes, measured = function.slopes(states), differences(function.own_values, states)
     for name, found in (("F", values), ("the Jacobian", slopes[:1])):
         finite = np.isfinite(found).reshape(len(found), -1).all(axis=1)
         if not finite.all():
@@ -48,6 +51,7 @@ def check_function(function: FunctionMember, robot: Robot, start: np.ndarray) ->
     if not apart <= 1e-9 * (1.0 + np.abs(values).max()):
         raise InvalidProblemError(f"{what}: F of numba and of Python differ by {apart:.2g}")
     _refuse_kinks(function, what, start, measured[0])
+    _warn_of_squares(function, what, values[0], measured)
     off = np.abs(slopes - measured).reshape(len(states), -1).max(axis=1)
     scale = 1.0 + np.abs(measured).reshape(len(states), -1).max(axis=1)
     worst = int((off / scale).argmax())
@@ -77,7 +81,7 @@ def _first_call(
     def call() -> None:
         try:
             warnings.simplefilter("ignore")  # each is shown once, not at every call
-            function.own_residual(q)
+            function.own_values(q)
         except BaseException as error:
             failed.append(error)
 
@@ -115,15 +119,42 @@ def _refuse_kinks(
     """Refuse F whose one-sided differences at the start (n,) are apart."""
     step = 1e-6
     moved = start + step * np.concatenate([np.eye(len(start)), -np.eye(len(start))])
-    here, there = function.own_residual(start), function.own_residual(moved)
+    here, there = function.own_values(start), function.own_values(moved)
     ahead, behind = np.split((there - here) / step, 2)
     apart = np.abs(ahead + behind)
     joint, entry = np.unravel_index(apart.argmax(), apart.shape)
     if apart.max() > 1e-2 * (1.0 + np.abs(slopes).max()):
         raise InvalidProblemError(
             f"{what}: entry {entry} is not differentiable at the start: its slopes along joint "
-            f"{joint} are {-behind[joint, entry]:.4g} and {ahead[joint, entry]:.4g}; a root or an "
-            "absolute value? Square it"
+            f"{joint} are {-behind[joint, entry]:.4g} and {ahead[joint, entry]:.4g}; for "
+            "max(0, g), |g| or a root give g itself, with its bounds: FunctionConstraint(..., "
+            f"lower=..., upper=...); of a square g^2, the tolerance {TOLERANCE:g} lets g deviate "
+            f"by {np.sqrt(TOLERANCE):.2g}"
+        )
+
+
+def _warn_of_squares(
+    function: FunctionConstraint, what: str, values: np.ndarray, slopes: np.ndarray
+) -> None:
+    """Warn of entries that are 0 at the start, with slopes of 0 there and not elsewhere.
+
+    Args:
+        function: the constraint.
+        what: its name in messages.
+        values: F at the start (dim,).
+        slopes: dF/dq (k, dim, n), at the start first.
+    """
+    if not function.equation:
+        return
+    steepest = np.abs(slopes).max(axis=2)
+    flat = (np.abs(values) <= TOLERANCE) & (steepest[0] <= 0.1 * steepest.max(axis=0))
+    # near g = 0, the slope of g^2 is 2 |g| times that of g
+    flat &= steepest[0] ** 2 <= 40.0 * np.maximum(np.abs(values), 1e-9)
+    if flat.any():
+        log.warning(
+            f"{what}: entry {int(flat.argmax())} is 0 at the start without a slope; if it is a "
+            f"square g^2, its tolerance {TOLERANCE:g} lets g deviate by {np.sqrt(TOLERANCE):.2g}: "
+            "give g itself, with its bounds: FunctionConstraint(..., lower=..., upper=...)"
         )
 
 
@@ -132,22 +163,26 @@ def _refuse_small_bound(
 ) -> None:
     """Refuse a bound that F exceeds at states (k, n) with slopes dF/dq (k, dim, n), or near them.
 
-    A Lipschitz constant is compared with slopes; a function of two states with motions of 0.1.
+    A Lipschitz constant is compared with slopes; a function of two states with motions of 0.1, of
+    all joints and of each joint alone.
     """
-    bound = function.bound
+    bound, units = function.bound, f" {function.units}" if function.units else ""
     if isinstance(bound, int | float):
         steepest = np.linalg.norm(slopes, axis=2).max(axis=1)
         k = int(steepest.argmax())
         if steepest[k] > bound * (1.0 + 1e-6):
             raise InvalidProblemError(
-                f"{what}: bound {bound:g} is too small: F changes by {steepest[k]:.4g} "
-                f"{function.units} per rad at {_numbers(states[k])}"
+                f"{what}: bound {bound:g} is too small: F changes by {steepest[k]:.4g}"
+                f"{units} per rad or m at {_numbers(states[k])}"
             )
         return
     rng = np.random.default_rng(1)
     directions = rng.standard_normal(states.shape)
     directions *= 0.1 / np.linalg.norm(directions, axis=1, keepdims=True)
-    for a, b in zip(states, states + directions, strict=True):
+    n = states.shape[1]
+    begins = np.concatenate([states, np.repeat(states[:1], n, axis=0)])
+    ends = np.concatenate([states + directions, states[0] + 0.1 * np.eye(n)])
+    for a, b in zip(begins, ends, strict=True):
         between = np.linspace(a, b, 11)
         largest = np.abs(function.own_residual(between)).max(axis=1)
         beyond = largest.max() - max(largest[0], largest[-1])
@@ -156,7 +191,7 @@ def _refuse_small_bound(
             q = between[largest.argmax()]
             raise InvalidProblemError(
                 f"{what}: bound {said:.4g} between two states is too small: F exceeds both ends by "
-                f"{beyond:.4g} {function.units} at {_numbers(q)}"
+                f"{beyond:.4g}{units} at {_numbers(q)}"
             )
 
 

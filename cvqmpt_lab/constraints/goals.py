@@ -400,8 +400,10 @@ class Goals:
         Given goals are near if their other turns follow. A drawn goal is near within `radius`
         [rad], and at most twice as far as the nearest one.
         """
-        if not self.drawn:
-            return self.given
+        return self.within(start, radius) if self.drawn else self.given
+
+    def within(self, start: np.ndarray, radius: float = 1.0) -> int:
+        """Return the number of goals within `radius` [rad] and twice the nearest distance."""
         distances = np.linalg.norm(self.configurations - start, axis=1)
         return int((distances <= min(radius, 2.0 * distances.min())).sum())
 

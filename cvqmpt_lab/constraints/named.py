@@ -102,7 +102,7 @@ class RegionForm:
         if [key for key in keys if key not in (name, HAND_FIELD)]:
             raise InvalidInputError(
                 f"{where} has {', '.join(keys)}; a region by name stands alone, or with "
-                f"{HAND_FIELD}"
+                f"{HAND_FIELD}{_listed(names)}"
             )
         kind, content = NAMED_REGIONS[name], value[name]
         if not isinstance(content, Mapping):
@@ -140,6 +140,12 @@ class RegionForm:
                 }
             )
         return {"anyOf": found}
+
+
+def _listed(names: list[str]) -> str:
+    """Return how several regions by name are written, or "" for one."""
+    items = ", ".join(f'{{"{name}": ...}}' for name in names)
+    return f"; several constraints are a list: [{items}]" if len(names) > 1 else ""
 
 
 Region = Annotated[TaskSpaceRegion, RegionForm()]

@@ -32,6 +32,7 @@ from cvqmpt_lab.constraints.task_space_region import (
     displaced,
     displacements,
 )
+from cvqmpt_lab.robot.pairs import cure_of_overlap
 from cvqmpt_lab.robot.robot import Robot
 
 
@@ -298,9 +299,12 @@ def hand_reach(robot: Robot, end_effector: str | None = None, count: int = 4000)
 
 def _collisions(checker: CollisionChecker, configurations: np.ndarray) -> str:
     """Return colliding pairs of configurations (k, n), most frequent first; "" if one is free."""
-    pairs = [str(checker.colliding_pair(q)) for q in configurations if checker.in_collision(q)]
+    pairs = [checker.colliding_pair(q) for q in configurations if checker.in_collision(q)]
     if len(pairs) < len(configurations) or not pairs:
         return ""
-    most = Counter(pairs).most_common(3)
+    most = Counter(map(str, pairs)).most_common(3)
     with_what = ", ".join(f"{pair} in {count}" for pair, count in most)
-    return f"all {len(pairs)} configurations that reach them collide: {with_what}"
+    first = next(pair for pair in pairs if str(pair) == most[0][0])
+    known = cure_of_overlap(checker.robot, (first.first, first.second)) if first else ""
+    said = f"all {len(pairs)} configurations that reach them collide: {with_what}"
+    return "; ".join(filter(None, (said, known)))

@@ -93,7 +93,7 @@ class RegionConstraint(Constraint):
             x = displacements(self.robot, region, states)
             most = np.maximum(most, bound_between(self.robot, region, states, x)[0])
         for function in self.functions:
-            found = function.bound_between(states)
+            found = function.proven_between(states)
             if found is None:
                 return None
             most = np.maximum(most, found)

@@ -215,9 +215,12 @@ class TaskSpaceRegion(Checked):
         lower, upper = self.bounds.T
         width = np.where(np.isinf(lower) | np.isinf(upper), FREE, upper - lower)
         inside = np.minimum(np.where(UNITS == "m", metres, radians), share * width)
-        moved = np.column_stack([lower + inside, upper - inside])
+        # an angle of pi or more is no bound, and stays
+        free = np.where(UNITS == "m", np.inf, np.pi)
+        inside_low, inside_high = (np.where(it < free, inside, 0.0) for it in (-lower, upper))
+        moved = np.column_stack([lower + inside_low, upper - inside_high])
         tilt, bearing = (
-            None if given is None else float(given - inside[row])
+            None if given is None else float(given - inside_high[row])
             for given, row in ((self.tilt, 6), (self.bearing, 9))
         )
         distance, radius = (

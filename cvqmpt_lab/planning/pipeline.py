@@ -75,9 +75,9 @@ def solve(
         optimize: budget for shorter paths after the first one; the result is never longer.
         use_cache: False: the planner's time contains all computations from the cloud, also those
             whose results are cached.
-        near_goals_first: if a joint can turn more than once, the same pose is a goal several times,
-            whole turns apart; the nearest goals are then searched first. Drawn goals near the start
-            are always searched first.
+        near_goals_first: given goals near the start are searched first, as drawn ones always are.
+            If there are none, and a joint can turn more than once, the same pose is a goal several
+            times, whole turns apart: the nearest goals are then searched first.
         goals: result of `goals_of` for the problem; None: it is called here.
         cores: above 1: as many searches run in threads, with the seeds seed, seed + 1, ...; the
             first certified path is returned, with its seed, see `race`.
@@ -118,8 +118,11 @@ def solve(
     _log.info("%d goals in %.1f ms", len(usable), 1e3 * goals.seconds)
     _log.info("cloud of %s points", "no" if cloud is None else len(cloud))
     near = goals.near(problem.start)
-    if near_goals_first and problem.robot.turning.any():
-        near = max(near, NEAR_GOAL_COUNT)
+    if near_goals_first:
+        # one search of near and far goals together may end at a far one
+        near = goals.within(problem.start) or max(
+            near, NEAR_GOAL_COUNT if problem.robot.turning.any() else 0
+        )
     observed = Observation(cloud, use_cache)
     ends = np.vstack([problem.start, usable])
     searches = []

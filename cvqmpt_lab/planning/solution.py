@@ -125,6 +125,8 @@ class Solution:
             lines.append(("optimize", _gain(self.improvement)))
         if self.certificate is not None:
             lines += _certificate(self.certificate)
+        if pairs := self.problem.robot.uncompared:
+            lines.append(("uncompared", pairs))
         return Report.of(lines, lambda: _data(self, planner, record(), why))
 
 
@@ -168,6 +170,8 @@ def _status(solution: Solution) -> str:
         text += f": no path found within {plan.seconds:.3g} s and {iterations} iterations"
     if plan.status is PlanStatus.COST_LIMIT:
         text += f": no path found within the cost, after {plan.counters.iterations} iterations"
+    if plan.path is not None and plan.detail.endswith("draws reached the constraint"):
+        return text  # a reason for no path, see `birrt.GrowingTrees.warning`
     if plan.detail.startswith(text):
         return plan.detail
     return f"{text} ({plan.detail})" if plan.detail else text
@@ -246,6 +250,7 @@ def _data(
         "joints": list(problem.robot.joint_names),
         "goals": len(solution.goals),
         "goals_left_out": list(solution.left_out),
+        "pairs_left_out": [list(pair) for pair in problem.robot.left_out_pairs],
         "constraint": [vars(use) for use in solution.bound_uses],
         "planner": planner,
         "chosen_because": why,

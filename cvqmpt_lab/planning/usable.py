@@ -11,6 +11,7 @@ import numpy as np
 from cvqmpt_lab.base.errors import InvalidProblemError
 from cvqmpt_lab.base.values import FloatArray, frozen
 from cvqmpt_lab.collision.carried import reach_with
+from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.collision.world import World
 from cvqmpt_lab.constraints.goals import SAMPLE_MARGIN_M, find_in_region
 from cvqmpt_lab.constraints.project import PROJECTION_TOLERANCE
@@ -18,6 +19,7 @@ from cvqmpt_lab.constraints.region_constraint import functions_of
 from cvqmpt_lab.constraints.report import broken_bound
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, displacements
 from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.robot.pairs import cure_of_overlap
 from cvqmpt_lab.scene.scene import check_extent, refuse_far_poses
 
 
@@ -135,7 +137,10 @@ def _faults(
                 else ""
             )
             found = f"{label} is in collision: {checker.contact(q)}"
-            yield k, found, f"choose another configuration{gap}"
+            pair = checker.colliding_pair(q)
+            known = cure_of_overlap(problem.robot, (pair.first, pair.second)) if pair else ""
+            cure = f"{_base_inside(checker)}choose another configuration{gap}"
+            yield k, found, "; ".join(filter(None, (cure, known)))
         if off[k + 1]:
             yield k, *_off_manifold(problem, goals, label, q)
     if problem.goal_region is None:
@@ -151,19 +156,30 @@ def _faults(
         )
 
 
+def _base_inside(checker: CollisionChecker, least_m: float = 1e-3) -> str:
+    """Return a remark that the robot's base stands inside an obstacle, and the cure; or ""."""
+    depth, pair = checker.standing_inside()
+    if pair is None or -depth < least_m:
+        return ""
+    return (
+        f"the base stands in an obstacle, too ({pair.first} is {-1e3 * depth:.0f} mm inside "
+        f"{pair.second}): move {pair.second}, or the robot by its field 'base'; or "
+    )
+
+
 def with_projected_start(problem: PlanningProblem) -> PlanningProblem:
     """Return the problem with its start projected by Algorithm 1; refuse it if that fails."""
     start = problem.manifold.project(problem.start)
     if start is None:
         raise InvalidProblemError(
             f"{problem.name}: the projection of the start fails: "
-            + "; ".join(_off_manifold(problem, problem.goals, "start", problem.start))
+            + "; ".join(_off_manifold(problem, problem.goals, "start", problem.start, False))
         )
     return problem.changed(start=frozen(start))
 
 
 def _off_manifold(
-    problem: PlanningProblem, goals: np.ndarray, label: str, q: np.ndarray
+    problem: PlanningProblem, goals: np.ndarray, label: str, q: np.ndarray, projects: bool = True
 ) -> tuple[str, str]:
     """Return the violated bound and a suggested fix.
 
@@ -173,13 +189,14 @@ def _off_manifold(
             the region is blamed.
         label: name of the start or goal.
         q: its configuration (n,) [rad or m].
+        projects: whether the projection of the start may be advised: it has not failed.
     """
     from cvqmpt_lab.constraints.no_goal import contradiction, other_axis  # for errors alone
 
     states, broken = q[None], f"{label} breaks"
     cure = "`cvqmpt ik` finds configurations that keep the constraint"
     if label == "start":
-        cure += ", --project-start moves this one onto it"
+        cure += ", --project-start moves this one onto it" if projects else ""
         for k, region in enumerate(problem.constraint):
             if not isinstance(region, TaskSpaceRegion):
                 continue

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from cvqmpt_lab.base.errors import InvalidInputError
+from cvqmpt_lab.base.errors import InvalidInputError, few
 from cvqmpt_lab.robot.kinematics import Kinematics
 from cvqmpt_lab.robot.robot import JointLimits, Robot, axis_frames, in_link
 
@@ -169,6 +169,31 @@ def without_effort_limit(robot: Robot) -> str:
     # a door's joint has no motor: its limit is infinite in the model, too
     odd = [f"{name} ({x:g})" for name, limit, x in stated if np.isinf(limit) and np.isfinite(x)]
     return f"effort not limited: {', '.join(odd)} not plausible in the URDF" if odd else ""
+
+
+def too_weak(robot: Robot, samples: int = 500) -> str:
+    """Return which joints cannot hold the arm up with their effort limits; "" if all can.
+
+    samples: number of random configurations.
+    """
+    dynamics = Dynamics.of(robot)
+    if dynamics is None:
+        return ""
+    limits, names = robot.limits["effort"], robot.joint_names
+    q = robot.random_configurations(np.random.default_rng(0), samples)
+    needed = np.abs(dynamics.gravity(q))
+    most, weak = needed.max(axis=0), (needed >= limits).mean(axis=0)
+    found = [
+        f"{names[k]!r} needs up to {most[k]:.3g} of {limits[k]:.3g} {robot.unit_of(k, 'Nm')} "
+        f"(too much in {100.0 * weak[k]:.2g} % of random configurations)"
+        for k in np.flatnonzero(weak).tolist()
+    ]
+    return (
+        f"the arm cannot hold itself up everywhere: joint {few(found, 3)}; timed motions are "
+        "refused there: correct effort in the URDF, or give --effort"
+        if found
+        else ""
+    )
 
 
 def _product(x: np.ndarray, y: np.ndarray) -> np.ndarray:

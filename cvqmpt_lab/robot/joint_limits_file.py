@@ -1,6 +1,6 @@
 """MoveIt's joint_limits.yaml: limits that a URDF cannot state, or narrower ones."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,8 @@ from cvqmpt_lab.base.errors import (
     mapping,
     require_choice,
 )
-from cvqmpt_lab.base.files import read_text, yaml_value
+from cvqmpt_lab.base.files import read_bytes, yaml_value
+from cvqmpt_lab.base.readers import parsing
 from cvqmpt_lab.base.values import scalar
 
 Limits = Mapping[str, Mapping[str, float]]
@@ -31,16 +32,46 @@ def read_joint_limits(path: Path, joints: Sequence[str]) -> Limits:
 
     Raises InvalidInputError or UnknownChoiceError with the file and the field that is wrong.
     """
+    data = read_bytes(path, "joint limits")
+    with parsing(path, "joint limits"):
+        message = _unwrapped(yaml_value(data.decode("utf-8-sig")))
     with located(str(path)):
-        message = mapping(yaml_value(read_text(path)), "", "joint_limits")
         stated = mapping(message.get("joint_limits", message), "joint_limits")
         return {
             require_choice("joint of joint_limits", name, joints): _of_joint(
                 mapping(fields, at("joint_limits", name)), at("joint_limits", name)
             )
             for name, fields in stated.items()
-            if not name.startswith("default_")
+            if not str(name).startswith("default_")
         }
+
+
+def _unwrapped(value: Any) -> Mapping[str, Any]:
+    """Return the part with "joint_limits" of a file of ROS's parameters, else the whole.
+
+    In ROS 2 parameters stand below the name of a node and "ros__parameters".
+    """
+    whole = mapping(value, "", "joint_limits")
+    found = dict(_having_limits(whole, "the file"))
+    if len(found) > 1:
+        raise InvalidInputError(
+            f"joint_limits occur in {' and in '.join(found)}; keep those of one"
+        )
+    if not found and "ros__parameters" in str(value):
+        raise InvalidInputError(
+            "its ROS parameters have no joint_limits; give a file with joint_limits at its top"
+        )
+    return next(iter(found.values()), whole)
+
+
+def _having_limits(part: Mapping[str, Any], name: str) -> Iterator[tuple[str, Mapping[str, Any]]]:
+    """Yield the parts of nested mappings that have "joint_limits", with their names."""
+    if "joint_limits" in part:
+        yield name, part
+        return
+    for key, inside in part.items():
+        if isinstance(inside, Mapping):
+            yield from _having_limits(inside, str(key) if name == "the file" else f"{name}.{key}")
 
 
 def narrow_positions(model: pin.Model, limits: Limits, planned: Sequence[str]) -> None:

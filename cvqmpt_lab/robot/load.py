@@ -24,21 +24,14 @@ from cvqmpt_lab.base.errors import (
 )
 from cvqmpt_lab.base.modules import Code, allow_code
 from cvqmpt_lab.base.values import Array, FloatArray
-from cvqmpt_lab.robot.hulls import (
-    checked_pairs,
-    default_off,
-    hulls_of_meshes,
-    left_out_pairs,
-    link_geometry,
-    srdf_oddities,
-    srdf_root,
-)
+from cvqmpt_lab.robot.hulls import MeshFile, hulls_of_meshes, link_geometry, take_meshes
 from cvqmpt_lab.robot.joint_limits_file import (
     Limits,
     limits_with,
     narrow_positions,
     read_joint_limits,
 )
+from cvqmpt_lab.robot.joint_states import is_joint_state, of_joints
 from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.mechanism import (
     ArticulatedObject,
@@ -46,6 +39,15 @@ from cvqmpt_lab.robot.mechanism import (
     placed_frames,
     with_articulated_object,
 )
+from cvqmpt_lab.robot.pairs import (
+    bodies_of,
+    checked_pairs,
+    default_off,
+    left_out_pairs,
+    srdf_oddities,
+    srdf_root,
+)
+from cvqmpt_lab.robot.reach import note_on_reach
 from cvqmpt_lab.robot.robot import (
     LIMIT_UNITS,
     Follower,
@@ -72,8 +74,6 @@ from cvqmpt_lab.robot.urdf import (
     read_urdf,
 )
 from cvqmpt_lab.robot.urdf_bodies import Prepared, prepare_bodies
-
-MAX_REACH_M = 10.0  # from the origin; the kernels' distance grid then takes 125 MB
 
 
 class StateForm(Array):
@@ -288,7 +288,7 @@ def _built(source: Mapping[str, Any], free: Sequence[str] = ()) -> Robot:
     read |= {path: content_digest(path) for path in urdf.included}
     held, followers = held_joints(urdf, given.end_effectors, given.locked, given.base is not None)
     held = tuple(joint for joint in held if joint.name not in free)
-    model, geometry, meshes, bodies = _models(urdf, given, held)
+    model, geometry, files, meshes, bodies = _models(urdf, given, held)
     following = {joint.name for joint in followers}
     planned = [name for name in list(model.names)[1:] if name not in {*following, *free}]
     check_turns(urdf, planned)
@@ -315,23 +315,30 @@ def _built(source: Mapping[str, Any], free: Sequence[str] = ()) -> Robot:
         speeds = positive_per_joint("velocity", velocities, names, LIMIT_UNITS["velocity"])
         for j, speed in zip(own.tolist(), speeds.tolist(), strict=True):
             model.upperVelocityLimit[j] = speed
+    known_limits = {key.removesuffix("_limits"): given.limits[key] for key in given.limits}
+    if known_limits["effort"] is None and any("effort" in stated.get(name, {}) for name in names):
+        # the URDF's, where they are plausible
+        known_limits["effort"] = np.where(np.isinf(plausible), np.nan, plausible)
     limits = {
         kind: positive_per_joint(kind, values, names, LIMIT_UNITS[kind])
         for kind, values in (
-            (kind, limits_with(kind, given.limits[f"{kind}_limits"], stated, names))
-            for kind in (key.removesuffix("_limits") for key in given.limits)
+            (kind, limits_with(kind, known_limits[kind], stated, names)) for kind in known_limits
         )
         # limits of the source have no entries for `free` joints
         if values is not None and not free
     }
     body_frames = [frame for frame in model.frames if frame.type == pin.FrameType.BODY]
     standing = {frame.name for frame in body_frames if frame.parentJoint == 0}
-<<<<<<< HEAD
-    remarks = bodies.notes
-    end_effectors, tool_links = given.end_effectors, tuple[str, ...]()
-=======
     remarks = urdf.notes + bodies.notes
->>>>>>> w1
+    end_effectors, tool_links = given.end_effectors, tuple[str, ...]()
+    # results of arms by name depend on their hulls
+    hulls_alone = bool(given.name) or given.one_hull_a_mesh
+    if not hulls_alone:
+        from cvqmpt_lab.robot.link_pieces import cut_concave_links  # arms by name need none
+
+        concave = urdf, given.srdf, meshes, files
+        geometry, notes = cut_concave_links(model, geometry, kinematics, *concave)
+        remarks += tuple(notes)
     if given.tool is not None:
         name, line = add_tool(model, given.end_effector, given.tool)
         end_effectors, tool_links, remarks = (name,), given.end_effectors, (*remarks, line)
@@ -353,21 +360,11 @@ def _built(source: Mapping[str, Any], free: Sequence[str] = ()) -> Robot:
         remarks=remarks,
         limits={"effort": plausible, **limits},
         frame_limits=dict(given.frame_limits),
-        files=tuple({**read, **meshes}.items()),
+        files=tuple({**read, **files}.items()),
         continuous=tuple(name for name in names if urdf.joints[name].kind == "continuous"),
     )
-    if robot.reach > MAX_REACH_M:
-        far = [
-            f"joint {joint.name!r} slides to {max(-joint.lower, joint.upper):g} m"
-            for joint in urdf.joints.values()
-            if joint.kind == "prismatic" and max(-joint.lower, joint.upper) > MAX_REACH_M / 2
-        ]
-        raise InvalidInputError(
-            f"{urdf.path.name} reaches {robot.reach:.3g} m from the origin, because "
-            f"{', '.join(far) or 'its links or base lie far away'}: at most {MAX_REACH_M:g} m; are "
-            "all lengths in metres?"
-        )
-    left_out = left_out_pairs(model, geometry, robot.links, robot.kinematics, urdf, given.srdf)
+    far = note_on_reach(robot, urdf)
+    left_out = left_out_pairs(bodies_of(robot), urdf, given.srdf, hulls_alone)
     pairs = checked_pairs(model, geometry, left_out)
     off = default_off(srdf_root(Path(given.srdf)))[0] if given.srdf else set()
     owners = [model.frames[item.parentFrame].name for item in geometry.geometryObjects]
@@ -375,7 +372,13 @@ def _built(source: Mapping[str, Any], free: Sequence[str] = ()) -> Robot:
         replace(piece, self_only=True) if owner in off else piece
         for piece, owner in zip(robot.links, owners, strict=True)
     )
-    return replace(robot, links=links, self_collision_pairs=pairs, left_out_pairs=left_out)
+    return replace(
+        robot,
+        links=links,
+        self_collision_pairs=pairs,
+        left_out_pairs=left_out,
+        remarks=remarks + far,
+    )
 
 
 def _within_soft_limits(model: pin.Model, urdf: Urdf, planned: Sequence[str]) -> tuple[str, ...]:
@@ -430,8 +433,8 @@ def _limit_leaders(model: pin.Model, urdf: Urdf, followers: Sequence[Follower]) 
 
 def _models(
     urdf: Urdf, given: RobotSource, held: Sequence[HeldJoint], prefix: str = "joint: "
-) -> tuple[pin.Model, pin.GeometryModel, dict[str, str], Prepared]:
-    """Return pinocchio's models of kinematics and shapes, sha256 of meshes by path, and remarks.
+) -> tuple[pin.Model, pin.GeometryModel, dict[str, str], dict[str, MeshFile], Prepared]:
+    """Return pinocchio's models, sha256 of meshes by path, meshes by body, and remarks.
 
     Held joints are fixed, and the robot stands on the given base. prefix: put in front of the
     joints' names meanwhile: pinocchio confuses a joint and a link of the same name.
@@ -445,7 +448,16 @@ def _models(
         said = f"cannot collide: {few(lost)}, whose collision mesh is missing"
         bodies = bodies._replace(notes=(*bodies.notes, said))
     digests = {path: content_digest(path) for path in meshes}
-    hulls = hulls_of_meshes(root, digests)
+    taken = take_meshes(root)
+    hulls = hulls_of_meshes(taken.values(), digests)
+    larger = [
+        f"{name} by up to {1e3 * hulls[mesh].rounded:.1g} mm"
+        for name, mesh in taken.items()
+        if hulls[mesh].rounded
+    ]
+    if larger:
+        rounded = f"hulls with fewer corners, larger than the mesh's: {few(larger)}"
+        bodies = bodies._replace(notes=(*bodies.notes, rounded))
     for element in root.findall("joint"):
         element.set("name", prefix + element.get("name", ""))
     text = ElementTree.tostring(root, encoding="unicode")
@@ -460,7 +472,8 @@ def _models(
             f"cannot load {given.urdf}: the parser skipped collision bodies, see its output above"
         )
     for item in geometry.geometryObjects:
-        item.geometry = hulls.get(item.name, item.geometry)
+        if item.name in taken:
+            item.geometry = hulls[taken[item.name]].shape
     q = pin.neutral(model)
     ids = []
     for joint in held:
@@ -483,7 +496,7 @@ def _models(
                 fixed.placement = base * fixed.placement
         # the masses of fixed links count in the centre of mass
         model.inertias[0] = base.act(model.inertias[0])
-    return model, geometry, digests, bodies
+    return model, geometry, digests, taken, bodies
 
 
 def _without_uncompared(root: ElementTree.Element, srdf: str) -> list[str]:
@@ -528,8 +541,8 @@ def numbers_of(robot: Robot, value: Any, where: str) -> Any:
 
     Args:
         robot: the robot.
-        value: {"joint": number} or the name of a group_state of its SRDF; any other value is
-            returned unchanged.
+        value: {"joint": number}, a JointState message or the name of a group_state of its SRDF;
+            any other value is returned unchanged.
         where: the field's name in errors.
     """
     if isinstance(value, str):
@@ -542,6 +555,8 @@ def numbers_of(robot: Robot, value: Any, where: str) -> Any:
         value = {name: number for name, number in states[value].items() if name in known}
     if not isinstance(value, Mapping):
         return value
+    if is_joint_state(value):
+        value = of_joints(value, robot.joint_names, where)
     for name in value:
         require_choice(f"joint of {where}", name, robot.joint_names)
     missing = [name for name in robot.joint_names if name not in value]

@@ -20,7 +20,8 @@ from cvqmpt_lab.base.errors import InvalidInputError, require_choice, unique
 from cvqmpt_lab.base.poses import Pose
 from cvqmpt_lab.base.values import Array, FloatArray, Length, Name
 from cvqmpt_lab.robot.hulls import coal_hull, link_geometry
-from cvqmpt_lab.robot.robot import LeftOut, Robot, axis_frames, in_link, kinematics_arrays
+from cvqmpt_lab.robot.left_out import LeftOut
+from cvqmpt_lab.robot.robot import Robot, axis_frames, in_link, kinematics_arrays
 
 
 def add_tool(model: pin.Model, link: str, T_link_tool: np.ndarray) -> tuple[str, str]:

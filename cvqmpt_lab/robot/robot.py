@@ -16,6 +16,7 @@ import pinocchio as pin
 from cvqmpt_lab.base.errors import InvalidInputError, UnknownChoiceError, few, require_choice
 from cvqmpt_lab.base.values import Condition, frozen
 from cvqmpt_lab.robot.kinematics import Kinematics
+from cvqmpt_lab.robot.left_out import OVERLAP, LeftOut
 
 
 def nearest_turn(angles: np.ndarray, reference: np.ndarray | float) -> np.ndarray:
@@ -39,25 +40,6 @@ class Follower(NamedTuple):
     leader: str  # the planned joint; in chains of joints that mimic others, the first one
     multiplier: float  # product along a chain of mimic joints
     offset: float  # [rad or m]
-
-
-class LeftOut(NamedTuple):
-    """Unchecked pair of links, or of a link and a piece of a door; and the reason.
-
-    Reasons: "SRDF: " and the reason in the SRDF; "fixed to each other"; "also held by" (a load and
-    a second hand); "adjacent" (one joint between them); "overlap in N % of random states" (the
-    convex hulls are too large); "may touch" (hand and handle, named in the problem file); "casing"
-    (a door and its fixed frame).
-    """
-
-    first: str
-    second: str
-    reason: str  # one of those above
-
-    @classmethod
-    def by_default(cls, first: str, second: str) -> "LeftOut":
-        """Return a pair that an SRDF leaves out by the default of one of its links."""
-        return cls(first, second, "SRDF: not compared by default")
 
 
 @dataclass(frozen=True)
@@ -262,8 +244,10 @@ class Robot:
 
     def frame(self, name: str | None = None) -> tuple[int, np.ndarray]:
         """Return what `hand` and `link_of` return, of an end effector or any other body frame."""
-        if name is None or name in self.hands or name not in self.frame_names:
+        if name is None or name in self.hands:
             return self.hand(name)
+        choices = dict.fromkeys((*self.end_effectors, *self.frame_names))
+        require_choice(f"frame of robot {self.name}", name, choices)
         return self.link_of(name)
 
     @property
@@ -345,7 +329,21 @@ class Robot:
                 f"within the soft limits of {few(self.soft_limited)}; --hard-limits plans to the "
                 "others"
             )
+        always = [pair for pair in self.left_out_pairs if pair.reason.startswith(OVERLAP)]
+        if always:
+            notes.append(
+                f"compared by nobody, because they overlap in every random state: "
+                f"{LeftOut.named(always)}"
+            )
         return [*notes, *self.remarks]
+
+    @property
+    def uncompared(self) -> str:
+        """Pairs of links that nobody compares, in words; "" if all are compared."""
+        pairs = self.left_out_pairs
+        if not pairs:
+            return ""
+        return f"{len(pairs)} pairs of links, which nobody compares: {LeftOut.named(pairs)}"
 
     @property
     def velocity_limits(self) -> np.ndarray:
@@ -403,10 +401,36 @@ class Robot:
             distance[j + 1] = distance[k.parent[j]] + np.linalg.norm(k.translation[j]) + slides[j]
         return frozen(distance)
 
+    @property
+    def _farthest_in_boxes(self) -> np.ndarray:
+        """Bounds (p,) as `farthest`, nearer for robots with several sliders [m].
+
+        Sliders behind the base or behind a hinge keep the orientation of its frame: the origins
+        that they move stay in a box of this frame, whose farthest corner is nearer than the sum of
+        all strokes.
+        """
+        k = self.kinematics
+        if np.count_nonzero(k.prismatic) < 2:
+            return self.farthest
+        ends = k.joint_values(np.stack([k.lower, k.upper]))
+        distance, start = np.zeros((2, len(k.parent) + 1))  # start: of the frame of the box
+        turns, boxes = [np.eye(3)], [np.zeros((2, 3))]
+        for j, parent in enumerate(k.parent):
+            turn, box = turns[parent] @ k.rotation[j], boxes[parent]
+            box = box + turns[parent] @ k.translation[j]
+            if k.prismatic[j]:
+                strokes = ends[:, j, None] * turn[:, 2]
+                box = box + np.stack([strokes.min(axis=0), strokes.max(axis=0)])
+            distance[j + 1] = start[parent] + np.linalg.norm(np.abs(box).max(axis=0))
+            start[j + 1] = start[parent] if k.prismatic[j] else distance[j + 1]
+            turns.append(turn if k.prismatic[j] else np.eye(3))
+            boxes.append(box if k.prismatic[j] else np.zeros((2, 3)))
+        return distance
+
     @cached_property
     def reach(self) -> float:
         """Radius [m] of a ball around the base that contains all moving links and end effectors."""
-        distance = self.farthest
+        distance = self._farthest_in_boxes
         ends = [distance[row] + np.linalg.norm(T[:3, 3]) for row, T in self.hands.values()]
         ends += [
             distance[piece.link] + np.linalg.norm(piece.vertices_in_link, axis=1).max()

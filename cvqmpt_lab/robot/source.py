@@ -69,6 +69,8 @@ class RobotSource:
     visual_as_collision: bool = False
     # whether a collision mesh that is not found is no body, instead of an error
     skip_missing_meshes: bool = False
+    # whether concave meshes are not cut into convex pieces; those of a named arm never are
+    one_hull_a_mesh: bool = False
     # "visual" meshes or "hulls": what pictures show of the links
     bodies: Literal["visual", "hulls"] = "visual"
     # (4, 4) pose of the URDF's base link in the world; None: the identity

@@ -25,7 +25,7 @@ from cvqmpt_lab.base.errors import (
 )
 from cvqmpt_lab.base.files import read_xml, xml_root
 from cvqmpt_lab.base.modules import require_code_allowed
-from cvqmpt_lab.base.values import FULL_TURN_RAD, scalar
+from cvqmpt_lab.base.values import FULL_TURN_RAD, other_units, scalar
 from cvqmpt_lab.robot.robot import Follower, HeldJoint
 
 
@@ -393,8 +393,8 @@ def _lock(urdf: Urdf, movable: Mapping[str, Joint], name: str, value: float) -> 
     number = scalar(float, value, f"locked value [rad or m] of joint {name!r}")
     if movable[name].kind != "prismatic" and abs(number) > FULL_TURN_RAD:
         raise InvalidInputError(
-            f"joint {name!r} cannot be locked at {number:g} rad, more than 2 pi: degrees? "
-            "Give radians"
+            f"joint {name!r} cannot be locked at {number:g} rad, more than 2 pi: "
+            f"{other_units([number])}"
         )
     lower, upper = movable[name].lower, movable[name].upper
     # equal limits are placeholders

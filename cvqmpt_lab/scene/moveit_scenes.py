@@ -6,13 +6,14 @@ same.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from cvqmpt_lab.base.codec import from_plain
+from cvqmpt_lab.base.convex_pieces import convex_pieces
 from cvqmpt_lab.base.errors import (
     InvalidInputError,
     UnknownChoiceError,
@@ -23,11 +24,20 @@ from cvqmpt_lab.base.errors import (
     shown,
 )
 from cvqmpt_lab.base.files import yaml_value
-from cvqmpt_lab.base.poses import Placement, ros_vector
+from cvqmpt_lab.base.poses import ros_vector
 from cvqmpt_lab.base.readers import field_of, listed, read_by_suffix
-from cvqmpt_lab.base.values import FloatArray, numbers, scalar
+from cvqmpt_lab.base.values import FloatArray, numbers
+from cvqmpt_lab.robot.joint_states import joint_state_values
+from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.robot.source import mesh_path
-from cvqmpt_lab.scene.mesh_files import MAX_TRIANGLES, convex_pieces, read_mesh
+from cvqmpt_lab.scene.mesh_files import MAX_TRIANGLES, read_mesh
+from cvqmpt_lab.scene.moveit_frames import (
+    FixedTransform,
+    fixed_transforms,
+    frame_name,
+    matrix_of,
+    placed_frames,
+)
 from cvqmpt_lab.scene.scene import Scene, SceneObject, log
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, Shape, Sphere
 
@@ -40,15 +50,23 @@ MOVEIT_SOLIDS: Mapping[str, tuple[int, Callable[..., Shape]]] = {
 MOVEIT_SHAPES = (*MOVEIT_SOLIDS, "mesh")
 
 
-def read_moveit_scene(path: Path | str, held: Mapping[str, float] = {}) -> tuple[Scene, str]:
+def read_moveit_scene(
+    path: Path | str, robot: Robot | None = None, fingers: Mapping[str, float] = {}
+) -> tuple[Scene, str]:
     """Return the scene of a file, and the frame of its poses ("": the file has none).
 
     An object of several convex pieces becomes "ID/0", "ID/1", ... InvalidInputError names the file
-    and the object, or a joint that a RobotState has elsewhere than at the values `held` by the
-    robot [rad or m].
+    and the object, or a joint that a RobotState has elsewhere than the robot holds it.
+
+    Args:
+        path: the file.
+        robot: its frames place the objects in the world; None: their frame is the world.
+        fingers: values of joints that the robot holds elsewhere [rad or m].
     """
-    read_yaml = partial(_scene, yaml_value, held=held)
-    readers = {".scene": partial(_scene, _from_text), ".yaml": read_yaml, ".yml": read_yaml}
+    held = {joint.name: joint.value for joint in robot.held_joints} if robot else {}
+    read_yaml = partial(_scene, yaml_value, held={**held, **fingers}, robot=robot)
+    read_text = partial(_scene, _from_text, robot=robot)
+    readers = {".scene": read_text, ".yaml": read_yaml, ".yml": read_yaml}
     return read_by_suffix(readers, path, "MoveIt scene", Path(path), most=2**24)
 
 
@@ -62,7 +80,11 @@ def scene_of_yaml(text: str, path: Path) -> Scene:
 
 
 def _scene(
-    parse: Callable, data: bytes, path: Path, held: Mapping[str, float] | None = None
+    parse: Callable,
+    data: bytes,
+    path: Path,
+    held: Mapping[str, float] | None = None,
+    robot: Robot | None = None,
 ) -> tuple[Scene, str]:
     """Return the scene and frame of a PlanningScene, its world or a list of CollisionObjects.
 
@@ -72,6 +94,7 @@ def _scene(
         path: path of the file.
         held: values of joints that a RobotState must have [rad or m]; None: it and settings of the
             robot's links are not looked at.
+        robot: its frames place the objects; None: all must be in one frame.
     """
     message = parse(data.decode("utf-8"))
     if isinstance(message, list):
@@ -86,7 +109,7 @@ def _scene(
         *("id", "pose", "primitives", "primitive_poses", "meshes", "mesh_poses", "planes"),
         *("plane_poses", "header", "type", "operation", "subframe_names", "subframe_poses"),
     )
-    objects, frames = list[SceneObject](), list[str]()
+    objects, frames = list[SceneObject](), list[str]()  # the frame of each object
     for k, item in enumerate(listed(world["collision_objects"], "collision_objects")):
         fields = mapping(
             item, f"collision_objects[{k}]", "id, primitives, primitive_poses, meshes, mesh_poses"
@@ -100,16 +123,38 @@ def _scene(
         names = [of] if len(pieces) == 1 else [f"{of}/{piece}" for piece in range(len(pieces))]
         placed = zip(names, pieces, strict=True)
         objects += [SceneObject(name, shape, T) for name, (shape, T) in placed]
-        frames.append(str(field_of(fields.get("header"), "frame_id") or ""))
-    if len(set(frames)) > 1:
-        raise InvalidInputError(
-            f"objects are in frames {', '.join(sorted(set(frames)))}; write all in one frame"
-        )
+        frames += [frame_name(field_of(fields.get("header"), "frame_id"))] * len(pieces)
+    objects, frame = _placed(objects, frames, fixed_transforms(whole), robot)
     if held is not None:
         _refuse_other_values(whole.get("robot_state"), held)
         _refuse_link_settings(whole, [str(item.get("id")) for item in world["collision_objects"]])
     name = str(whole.get("name") or path.stem)
-    return Scene(name, tuple(objects)), frames[0] if frames else ""
+    return Scene(name, tuple(objects)), frame
+
+
+def _placed(
+    objects: Sequence[SceneObject],
+    frames: Sequence[str],
+    transforms: Sequence[FixedTransform],
+    robot: Robot | None,
+) -> tuple[list[SceneObject], str]:
+    """Return objects, each in its frame, in the world, and a frame that stands there.
+
+    Without a robot, all must be in one frame.
+    """
+    names = list(dict.fromkeys(frames))
+    if robot is None and len(names) > 1:
+        raise InvalidInputError(
+            f"objects are in frames {', '.join(sorted(names))}; give --robot, which has these "
+            "frames, or write all in one frame"
+        )
+    T = placed_frames(names, transforms, robot)
+    placed = [
+        replace(item, T_world_object=T[frame] @ item.T_world_object)
+        for item, frame in zip(objects, frames, strict=True)
+    ]
+    at_world = [name for name in names if np.array_equal(T[name], np.eye(4))]
+    return placed, at_world[0] if at_world else ""
 
 
 def _pieces(vertices: FloatArray, triangles: FloatArray) -> Iterator[ConvexMesh]:
@@ -124,13 +169,6 @@ def _pieces(vertices: FloatArray, triangles: FloatArray) -> Iterator[ConvexMesh]
             f"a triangle has a corner that is none of the mesh's {len(vertices)} vertices"
         )
     yield from map(ConvexMesh, convex_pieces(vertices[corners]))
-
-
-def _matrix(position: Any, orientation: Any) -> FloatArray:
-    """Return a pose (4, 4); orientation: quaternion x, y, z, w, zeros for identity as in MoveIt."""
-    turn = numbers(orientation, "orientation", "4 numbers, a quaternion x, y, z, w")
-    quaternion = turn.tolist() if turn.any() or turn.shape != (4,) else [0.0, 0.0, 0.0, 1.0]
-    return from_plain(Placement, {"xyz": position, "quaternion": quaternion}, "pose").matrix
 
 
 class _Lines:
@@ -220,22 +258,24 @@ def _object(lines: _Lines) -> dict[str, Any]:
 
 
 def _refuse_other_content(whole: Mapping[str, Any], world: Mapping[str, Any]) -> None:
-    """Refuse octomaps, attached objects and moved frames, which a scene cannot have."""
+    """Refuse diffs, octomaps and attached objects, which a scene cannot have."""
+    if whole.get("is_diff"):
+        raise InvalidInputError(
+            "it has is_diff: true, so that it holds only what changed, not the whole scene; give "
+            "the scene that MoveIt's service /get_planning_scene answers, or write is_diff: false "
+            "if this is all of it"
+        )
     if field_of(field_of(world.get("octomap"), "octomap"), "data"):
         raise InvalidInputError(
             "it has an octomap; write it as a cloud, and give that as a map_file"
         )
-    refuse_attached(whole.get("robot_state"))
-    for item in listed(whole.get("fixed_frame_transforms"), "fixed_frame_transforms"):
-        moved = field_of(item, "transform")
-        T = _matrix(
-            ros_vector(field_of(moved, "translation")), ros_vector(field_of(moved, "rotation"))
+    state = whole.get("robot_state")
+    refuse_attached(state)
+    if field_of(state, "is_diff"):
+        log.warning(
+            "robot_state has is_diff: true: joints that it does not name are taken where the robot "
+            "holds them, and the robot is taken to carry nothing"
         )
-        if not np.allclose(T, np.eye(4), atol=1e-9):
-            raise InvalidInputError(
-                f"frame {shown(field_of(item, 'child_frame_id'))} is moved by a transform; write "
-                "poses without it"
-            )
 
 
 def refuse_attached(state: Any) -> None:
@@ -251,12 +291,9 @@ def refuse_attached(state: Any) -> None:
 
 def _refuse_other_values(state: Any, held: Mapping[str, float], most: float = 1e-3) -> None:
     """Refuse joints that a RobotState has more than `most` [rad or m] from where they are held."""
-    joints = field_of(state, "joint_state")
-    names, values = (listed(field_of(joints, key), key) for key in ("name", "position"))
-    if len(names) != len(values):
-        raise InvalidInputError(f"robot_state has {len(names)} names, {len(values)} positions")
-    for name, value in zip(map(str, names), values, strict=True):
-        if name in held and abs(scalar(float, value, name) - held[name]) > most:
+    values = joint_state_values(field_of(state, "joint_state"), "robot_state.joint_state")
+    for name, value in values.items():
+        if name in held and abs(value - held[name]) > most:
             raise InvalidInputError(
                 f"robot_state has {name} at {value:.9g}, the robot holds it at {held[name]:.9g}: "
                 f"give --lock {name}={value:.9g}"
@@ -375,4 +412,4 @@ def read_pose(value: Any) -> FloatArray:
     """Return the matrix (4, 4) of a Pose message."""
     fields = known_fields(value, "pose", ("position", "orientation"))
     turn = fields.get("orientation", [0, 0, 0, 1])
-    return _matrix(ros_vector(fields.get("position")), ros_vector(turn))
+    return matrix_of(ros_vector(fields.get("position")), ros_vector(turn))

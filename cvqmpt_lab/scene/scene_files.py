@@ -131,6 +131,8 @@ def _shapes(
 ) -> Iterator[PointCloud | OccupancyMap | ConvexMesh]:
     """Yield the shapes of one file."""
     path = folder / named.path
+    if not path.exists():
+        path = path.absolute()  # the error says in which folder it looked
     if not isinstance(named, MeshFile):
         from cvqmpt_lab.scene.cloud_files import read_cloud
 

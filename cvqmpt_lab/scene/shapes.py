@@ -12,12 +12,11 @@ from typing import Annotated, Any, TypeAlias
 import numpy as np
 
 from cvqmpt_lab.base.codec import Checked, Tagged
-from cvqmpt_lab.base.convex import box_corners, require_volume
+from cvqmpt_lab.base.convex import MIN_THICKNESS_M, box_corners, require_volume
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.base.values import MAX_LENGTH_M, Array, FloatArray, Length, Name, Padding
 
 Points = Annotated[FloatArray, Array((None, 3), "points x, y, z [m]", MAX_LENGTH_M)]
-MIN_THICKNESS_M = 1e-4  # thinner hulls are refused: rounding errors would decide their faces
 
 
 @dataclass(frozen=True, eq=False)

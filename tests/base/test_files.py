@@ -195,3 +195,20 @@ def test_a_byte_order_mark_is_no_text_and_an_empty_file_no_object(tmp_path):
     assert read_json_object(tmp_path / "a.json") == {"a": 1}
     (tmp_path / "a.json").write_text(" // nothing\n")
     refused("a.json is empty; write one object", read_json_object, tmp_path / "a.json")
+
+
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [
+        ("tool.STL", "is a mesh; name it in a problem file"),
+        ("scan.pcd", "is a cloud; write a scene from it with: cvqmpt scan scan.pcd --out"),
+        ("path.csv", "is a motion; judge it with: cvqmpt certify path.csv PROBLEM.json"),
+    ],
+)
+def test_a_file_of_another_kind_is_named_with_its_use(tmp_path, name, told):
+    (tmp_path / name).write_bytes(b"solid \xff")
+    refused(
+        f"{name}, given as problem file, {told}", read_json_object, tmp_path / name, "problem file"
+    )
+    (tmp_path / "mine.json").write_bytes(b"\xff")
+    refused("is not UTF-8 text", read_json_object, tmp_path / "mine.json", "problem file")

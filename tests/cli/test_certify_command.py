@@ -499,3 +499,14 @@ def test_the_motions_of_a_task_refuse_options_of_one_motion(tmp_path, capsys, op
     (tmp_path / "task.json").write_text("{}")
     words = [tmp_path, DATA / "task-1.json", *options]
     assert told in refused(capsys, "certify", *words)
+
+
+def test_a_problem_in_the_place_of_the_motion_is_named(capsys, problem_file, tmp_path):
+    path = tmp_path / "path.csv"
+    path.write_text("0,0,0,0,0,0,0\n")
+    told = refused(capsys, "certify", problem_file, path)
+    assert f"the motion comes first: cvqmpt certify {path} {problem_file}" in told
+    (tmp_path / "task.json").write_text('{"task": "t", "steps": []}')
+    index = tmp_path / "list.json"
+    index.write_text('{"task": "t", "steps": []}')
+    assert "lists the motions of a task; give its folder" in refused(capsys, "certify", index)

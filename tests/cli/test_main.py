@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from command_line import ROOT, SCAN_START, run
 
+from cvqmpt_lab.cli import main as main_module
 from cvqmpt_lab.cli.main import COMMANDS, entry_point, main
 
 with Path(__file__).with_name("commands.csv").open(newline="") as file:
@@ -104,3 +105,13 @@ def test_a_process_that_cannot_do_or_print_it_ends_in_one_line(where, words, cod
     os.close(writing)
     assert done.returncode == code and done.stderr.startswith(told)
     assert len(done.stderr.splitlines()) == bool(told)
+
+
+def test_an_interrupted_command_says_what_is_kept(monkeypatch, capsys):
+    def interrupt(name):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(main_module, "command_named", interrupt)
+    for command, told in (("plan", "nothing else"), ("reproduce", "the same command continues")):
+        assert main_module.main([command, "place-task"]) == 130
+        assert told in capsys.readouterr().err

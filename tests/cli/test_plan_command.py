@@ -8,6 +8,7 @@ import pytest
 from command_line import refused
 from jsonschema import Draft202012Validator
 
+from cvqmpt_lab.cli.main import main
 from cvqmpt_lab.constraints.task_space_region import displacements
 from cvqmpt_lab.features.motion.trajectory import read_motion
 from cvqmpt_lab.features.tasks.task import PlannedPhase, Task
@@ -18,7 +19,9 @@ def test_plan_prints_a_report_and_writes_the_path(cvqmpt, problem_file, problem,
     out = tmp_path / "path.csv"
     words = f"plan {problem_file} --iterations 20000 --save {out}"
     lines = cvqmpt(words).splitlines()
-    heads = "problem constraint planner status time counts length certificate margin path"
+    heads = (
+        "problem constraint planner status time counts length certificate uncompared margin path"
+    )
     assert [line.split()[0] for line in lines] == heads.split()
     assert "clearance obstacles at least " in lines[7] and ", self at least " in lines[7]
     assert lines[3].split()[:2] == ["status", "solved"] and "certificate certified (" in lines[7]
@@ -68,6 +71,23 @@ def test_plan_without_success_exits_with_1_and_writes_no_motion(cvqmpt, tmp_path
     words = "plan place-task --problem 5 --planner birrt --iterations 1 --trajectory"
     out = cvqmpt(words, tmp_path / "motion.csv", code=1)
     assert "iteration limit: no path found within " in out and "trajectory  none" in out
+    assert not (tmp_path / "motion.csv").exists()
+
+
+def test_a_motion_that_cannot_be_timed_keeps_the_picture_and_the_states(
+    cvqmpt, capsys, problem_file, data, tmp_path
+):
+    data["robot"] |= {"effort_limits": [3.0] * 7}
+    problem_file.write_text(json.dumps(data))
+    files = {name: tmp_path / name for name in ("p.png", "path.csv")}
+    words = f"plan {problem_file} --iterations 20000 --trajectory {tmp_path / 'motion.csv'}"
+    words += f" --picture {files['p.png']} --save {files['path.csv']}"
+    assert main(words.split()) == 2
+    said = capsys.readouterr()
+    assert "to stand still" in said.err and said.err.count("\n") == 1
+    assert "certificate certified (" in said.out
+    for path in files.values():
+        assert path.exists() and f"written to {path}" in said.out
     assert not (tmp_path / "motion.csv").exists()
 
 

@@ -88,3 +88,13 @@ def test_options_alone_speak_of_the_files_own_robot_whose_path_is_seen_from_the_
     cvqmpt(words, "--robot", changed, "--trajectory", file.parent / "t.csv")
     cvqmpt(f"robot {file} --lock bend=0 --out", changed)
     assert "robot slider_arm needs (2,)" in refused(capsys, *words.split(), "--robot", changed)
+
+
+def test_an_arm_too_weak_for_its_own_weight_is_said(cvqmpt, tmp_path):
+    weak = tmp_path / "weak.json"
+    told = cvqmpt("robot panda --effort 87,30,87,87,12,12,12 --out", weak)
+    assert "timing       the arm cannot hold itself up everywhere: joint 'panda_joint2'" in told
+    notes = json.loads(cvqmpt("robot --json", weak))["notes"]
+    assert "cannot hold itself up" in notes[-1]
+    told = cvqmpt("problems new", tmp_path / "new.json", "--robot", weak)
+    assert "note: the arm cannot hold itself up everywhere: joint 'panda_joint2'" in told

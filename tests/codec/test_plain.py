@@ -43,6 +43,7 @@ def test_poses_have_three_forms_in_json():
         ('{"goals": ' + "1" * 5000 + "}", "mine.json is not json"),
         ("[]", "mine.json must hold one json object"),
         ('{"goals": []}', "mine.json: schema is None; this version reads 'cvqmpt-problem/1'"),
+        ('{"points": []}', "schema is None, a motion (cvqmpt certify MOTION PROBLEM judges it); "),
         ('{"schema": [], "goals": []}', "mine.json: schema is []; this version"),
     ],
 )

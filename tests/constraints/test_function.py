@@ -170,7 +170,7 @@ BAD = {
     "differs from central differences by 1 at": FunctionConstraint(
         1, lambda q: q[..., :1], lambda q: np.eye(7)[:1] * 2.0
     ),
-    "bound 0.5 is too small: F changes by 1 rad or m per rad at": FunctionConstraint(
+    "bound 0.5 is too small: F changes by 1 per rad or m at": FunctionConstraint(
         1, lambda q: q[..., :1], bound=0.5
     ),
     "between two states is too small: F exceeds both ends by": FunctionConstraint(

@@ -25,9 +25,8 @@ from cvqmpt_lab.constraints.region_constraint import RegionConstraint
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.problem import PlanningProblem, really_held
-from cvqmpt_lab.robot.hulls import OVERLAP
+from cvqmpt_lab.robot.left_out import OVERLAP, Robot
 from cvqmpt_lab.robot.load import robot_from_source
-from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.robot.source import ARMS, example_robots
 from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.search.result import Budget, JointPath
@@ -46,7 +45,7 @@ SPREADS = (0.3, 0.1, 0.03, 0.01, 0.0)  # [rad or m] by which those that follow d
 CHAIN_STEPS = (0.01, 0.03, 0.1)  # [rad or m] between states of a closed chain, about
 SLIPS = (0.0, 1e-4, 3e-4)  # [rad or m] by which joints leave it, so that bounds are nearly broken
 # pose of the second hand in the frame of the first hand
-FREEDOMS = ({}, {"position": 0.01, "rotation": 0.05}, {"about": "z"})
+FREEDOMS = ({}, {"position": 0.002, "rotation": 0.005}, {"about": "z"})
 KINDS = len(CARRYING_LAYOUTS) * len(FREEDOMS)
 
 

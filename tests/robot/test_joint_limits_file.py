@@ -1,5 +1,7 @@
 """Limits of MoveIt's joint_limits.yaml replace those of the URDF and of the arm."""
 
+import json
+
 import numpy as np
 import pytest
 from refusals import refused
@@ -72,3 +74,63 @@ def test_a_joint_without_a_limit_is_named(with_limits, tmp_path):
     source = {"name": "", "urdf": urdf, "end_effector": "panda_hand"}
     told = "acceleration limits, but none of panda_joint2, .*: add max_acceleration"
     refused(told, with_limits, TEXT, source)
+
+
+def test_tags_of_units_are_read_as_xacro_reads_them(with_limits):
+    text = TEXT.replace("max_velocity: 1.5", "max_velocity: !degrees 60")
+    text = text.replace("min_position: -1.0", "min_position: !degrees -45.0")
+    robot = with_limits(text.replace("max_position: 4.0", "max_position: !radians 0.5"))
+    np.testing.assert_allclose(robot.velocity_limits[0], np.pi / 3)
+    np.testing.assert_allclose((robot.lower[0], robot.upper[0]), (-np.pi / 4, 0.5))
+
+
+@pytest.mark.parametrize(
+    "above",
+    [
+        ("robot_description_planning",),
+        ("/**", "ros__parameters", "robot_description_planning"),
+        ("arm", "move_group", "ros__parameters", "robot_description_planning"),
+        ("/move_group", "ros__parameters"),
+    ],
+)
+def test_limits_inside_parameters_of_ros_are_found(with_limits, above):
+    inside = {"joint_limits": {"panda_joint1": {"has_velocity_limits": True, "max_velocity": 0.5}}}
+    for name in reversed(above):
+        inside = {name: inside}
+    assert with_limits(json.dumps(inside)).velocity_limits[0] == 0.5
+
+
+def test_parameters_with_limits_twice_or_without_are_refused(with_limits):
+    limits = {"joint_limits": {"panda_joint1": {"has_velocity_limits": True, "max_velocity": 0.5}}}
+    one = {"ros__parameters": limits}
+    told = "joint_limits occur in /a.ros__parameters and in /b.ros__parameters; keep those of one"
+    refused(told, with_limits, json.dumps({"/a": one, "/b": one}))
+    other = {"/**": {"ros__parameters": {"use_sim_time": True}}}
+    refused("its ROS parameters have no joint_limits", with_limits, json.dumps(other))
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("a:\n\t- b", "line 2, column 1: a tab; indent by blanks"),
+        ("joint_limits: {panda_joint1: {max_velocity: 1.0}", "expected ',' or '}'"),
+        ("? [a, b]\n: 1", "a key is a list or a mapping"),
+        ("a: !!python/tuple [1]", "the tag !!python/tuple is not read"),
+        ("a: !degrees fast", "!degrees has 'fast'; write a number"),
+        ("joint_limits: {1: {}}", "unknown joint of joint_limits 1"),
+        ("joint_limits: 2001-99-99", "a value that is none of its type"),
+        ("[" * 3000, "nested too deeply"),
+    ],
+)
+def test_malformed_text_is_one_line(with_limits, text, told):
+    assert "\n" not in refused(told, with_limits, text)
+
+
+def test_joints_without_an_effort_in_the_file_keep_the_one_of_the_urdf(with_limits):
+    """A file with the effort of one joint was refused: none of the others were known."""
+    text = "joint_limits: {panda_joint1: {has_effort_limits: true, max_effort: 50.0}}"
+    known = panda().limits["effort"]
+    np.testing.assert_array_equal(with_limits(text).limits["effort"], [50.0, *known[1:]])
+    ur5 = "joint_limits: {shoulder_pan_joint: {has_effort_limits: true, max_effort: 100.0}}"
+    robot = with_limits(ur5, {"name": "ur5"})
+    assert robot.limits["effort"].tolist() == [100.0, *robot.model.upperEffortLimit[1:]]

@@ -178,7 +178,8 @@ def test_robots_of_one_joint_are_planned_for(tmp_path, kind, wall, carried, back
     robot = load_robot(tmp_path / "one.urdf", "arm", acceleration_limits=[1.0])
     scene = Scene("wall", (SceneObject("wall", Box((0.1, 0.1, 0.1)), pose(wall)),))
     start, goal = np.array([-0.5]), np.array([[0.4]])
-    for region in ((), (TaskSpaceRegion(np.eye(4), np.eye(4), np.array([(-2.0, 2.0)] * 6)),)):
+    bounds = np.array([(-2.0, 2.0), (-0.5, 2.0), *[(-2.0, 2.0)] * 4])
+    for region in ((), (TaskSpaceRegion(np.eye(4), np.eye(4), bounds),)):
         problem = PlanningProblem("one", robot, scene, start, goal, region, attachments=carried)
         solution = solve(problem, planner_named("birrt"), ENOUGH, seed=0, backend=backend)
         assert solution.certificate.reasons == ()

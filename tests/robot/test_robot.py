@@ -7,8 +7,9 @@ from numba import njit
 from refusals import refused
 
 from cvqmpt_lab.collision.motion_bounds import Sweep
-from cvqmpt_lab.robot.hulls import OVERLAP, hull_vertices
+from cvqmpt_lab.robot.hulls import hull_vertices
 from cvqmpt_lab.robot.kinematics import link_poses, sine_and_cosine
+from cvqmpt_lab.robot.left_out import OVERLAP
 from cvqmpt_lab.robot.load import load_robot, robot_from_source
 from cvqmpt_lab.robot.load import panda as load_panda
 
@@ -126,3 +127,8 @@ def test_a_file_that_is_no_srdf_is_named(slider_arm_urdf, tmp_path):
     for text, pattern in (("<robot", "cannot read SRDF"), ("<a/>", "root <a>")):
         (tmp_path / "bad.srdf").write_text(text)
         refused(pattern, load_robot, slider_arm_urdf, "tool", srdf=tmp_path / "bad.srdf")
+
+
+def test_every_body_frame_is_a_valid_choice_of_a_frame(panda):
+    told = refused("frame of robot panda 'tool0'", panda.frame, "tool0")
+    assert "panda_hand" in told and "panda_link5" in told

@@ -10,13 +10,8 @@ from judged_bodies import Body
 from refusals import refused
 from scipy.spatial import ConvexHull
 
-from cvqmpt_lab.scene.mesh_files import (
-    MAX_MESH_PIECES,
-    convex_pieces,
-    read_mesh,
-    read_triangles,
-    spread_points,
-)
+from cvqmpt_lab.base.convex_pieces import MAX_MESH_PIECES, convex_pieces, spread_points
+from cvqmpt_lab.scene.mesh_files import read_mesh, read_triangles
 from cvqmpt_lab.scene.shapes import ConvexMesh
 
 

@@ -8,6 +8,7 @@ from command_line import refused as refused_command
 from refusals import DATA, refused
 
 from cvqmpt_lab.base.errors import InvalidInputError
+from cvqmpt_lab.robot.load import panda
 from cvqmpt_lab.scene.moveit_scenes import read_moveit_scene
 from cvqmpt_lab.scene.scene_files import read_scene
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, Sphere
@@ -148,16 +149,23 @@ def test_a_rotation_that_is_not_read_is_refused(tmp_path, turn, message):
     refused(message, read, tmp_path, [CAN | {"pose": there}], ".yaml")
 
 
+def test_the_state_of_a_robot_that_is_a_diff_is_told(tmp_path, caplog):
+    whole = {"world": {"collision_objects": [CAN]}, "is_diff": False}
+    for state, told in (({"is_diff": True}, "the robot is taken to carry nothing"), ({}, "")):
+        caplog.clear()
+        assert read(tmp_path, whole | {"robot_state": state}, ".yaml")[0].objects
+        assert told in caplog.text and bool(caplog.text) == bool(told)
+
+
 def test_a_scene_with_content_that_cannot_be_converted_is_refused(tmp_path):
     world = {"collision_objects": [CAN]}
     attached = {"attached_collision_objects": [{"link_name": "hand", "object": CAN}]}
-    shift = {"translation": [1, 0, 0], "rotation": [0, 0, 0, 1]}
-    moved = {"child_frame_id": "base", "transform": shift}
     two = [CAN | {"header": {"frame_id": frame}} for frame in ("base", "table")]
     for data, message in (
         ({"world": world, "robot_state": attached}, "carries can; .*'attachments'"),
         ({"world": world | {"octomap": {"octomap": {"data": [1]}}}}, "octomap"),
-        ({"world": world, "fixed_frame_transforms": [moved]}, "frame 'base' is moved"),
+        ({"world": world, "is_diff": True}, "only what changed, .*/get_planning_scene"),
+        ({"collision_objects": [CAN], "is_diff": True}, "is_diff: false if this is all of it"),
         ({"world": {"collision_objects": two}}, "frames base, table"),
     ):
         refused(message, read, tmp_path, data, ".yaml")
@@ -187,3 +195,76 @@ def test_import_writes_a_scene_that_problems_name(tmp_path, cvqmpt, capsys):
     assert "3 objects; the file's frame is used as the world, at whose" in cvqmpt(words)
     assert read_scene(tmp_path / "shelf.json") == read_moveit_scene(tmp_path / "shelf.scene")[0]
     assert "exists already" in refused_command(capsys, *words.split())
+
+
+def in_frame(frame, *transforms):
+    """A scene with one object in a frame, and transforms (header, child, translation)."""
+    moved = [
+        {
+            "header": {"frame_id": header},
+            "child_frame_id": child,
+            "transform": {
+                "translation": dict(zip("xyz", xyz, strict=True)),
+                "rotation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0},
+            },
+        }
+        for header, child, xyz in transforms
+    ]
+    objects = [CAN | {"header": {"frame_id": frame}}]
+    return {"world": {"collision_objects": objects}, "fixed_frame_transforms": moved}
+
+
+@pytest.mark.parametrize("of_robot", [True, False])
+@pytest.mark.parametrize(
+    ("scene", "place", "note"),
+    [
+        (in_frame("panda_link0", ("camera", "panda_link0", (1, 0, 1))), (0, 0, 1), "left out"),
+        (in_frame("panda_link0", ("panda_link0", "map", (1, 0, 1))), (0, 0, 1), "left out"),
+        (in_frame("/panda_link0", ("world", "panda_link0", (0, 0, 1))), (0, 0, 1), "left out"),
+        (in_frame("eye", ("panda_link0", "eye", (1, 0, 1))), (1, 0, 2), "'eye' is at 1 0 1 m"),
+        (in_frame("eye", ("eye", "panda_link0", (1, 0, 1))), (1, 0, 2), "'eye' is at 1 0 1 m"),
+        (in_frame("world", ("world", "panda_link0", (0, 0, 1))), (0, 0, 2), "is at 0 0 1 m"),
+        (in_frame("panda_link0", ("panda_link0", "panda_link0", (0, 0, 0))), (0, 0, 1), ""),
+        (in_frame("world", ("camera", "map", (0, 0, 7))), (0, 0, 1), "left out: 'camera' to 'map'"),
+    ],
+)
+def test_transforms_that_an_object_needs_are_applied(
+    tmp_path, caplog, scene, place, note, of_robot
+):
+    """Others were refused, though no object was in their frames."""
+    (tmp_path / "a.yaml").write_text(json.dumps(scene))
+    found, _ = read_moveit_scene(tmp_path / "a.yaml", panda() if of_robot else None)
+    assert found.objects[0].T_world_object[:3, 3].tolist() == list(place)
+    assert note in caplog.text
+    assert len(caplog.records) == bool(note)
+
+
+@pytest.mark.parametrize(
+    ("scene", "of_robot", "told"),
+    [
+        (in_frame("camera"), True, "unknown frame of robot panda 'camera'"),
+        (in_frame("camera"), False, "frame_id 'camera' is not known to stand .* give --robot"),
+        (in_frame("panda_hand"), True, "'panda_hand' is moved by the planned joints"),
+        (in_frame("panda_hand"), False, "'panda_hand' is not known to stand"),
+        (in_frame("eye", ("panda_link0", "eye", "000")), True, "transform of 'panda_link0' and"),
+        (
+            in_frame("eye", ("panda_link0", "eye", (1, 0, 1)), ("eye", "panda_link0", (1, 0, 2))),
+            True,
+            "several poses of frame 'eye'; keep one",
+        ),
+    ],
+)
+def test_objects_in_unknown_frames_are_refused_with_and_without_a_robot(
+    tmp_path, scene, of_robot, told
+):
+    (tmp_path / "a.yaml").write_text(json.dumps(scene))
+    refused(told, read_moveit_scene, tmp_path / "a.yaml", panda() if of_robot else None)
+
+
+def test_objects_in_several_frames_of_the_robot_are_placed(tmp_path):
+    scene = in_frame("world", ("world", "panda_link0", (0, 0, 1)))
+    other = CAN | {"id": "other", "header": {"frame_id": "panda_link0"}}
+    scene["world"]["collision_objects"].append(other)
+    (tmp_path / "a.yaml").write_text(json.dumps(scene))
+    found, _ = read_moveit_scene(tmp_path / "a.yaml", panda())
+    assert [item.T_world_object[2, 3] for item in found.objects] == [2.0, 1.0]

@@ -1,6 +1,7 @@
 """Problems name clouds and meshes by paths relative to their folder."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from refusals import refused
 from cvqmpt_lab.base.codec import from_plain, to_plain
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.scene.scene import Articulation, Scene
+from cvqmpt_lab.scene.scene_files import with_files_read
 from cvqmpt_lab.scene.shapes import ConvexMesh, OccupancyMap, PointCloud
 
 POINTS = np.random.default_rng(0).uniform(-0.1, 0.1, (30, 3))
@@ -107,3 +109,11 @@ def test_errors_name_the_problem_the_object_and_the_cure(data, tmp_path, shape, 
 def test_a_scene_that_is_not_read_from_a_file_cannot_name_files():
     scan = item_of("scan", type="cloud_file", path="a.npy", radius=0.01)
     refused("'cloud_file' names a file", from_plain, Scene, {"name": "s", "objects": [scan]})
+
+
+def test_a_missing_file_of_a_shape_is_told_with_its_folder(tmp_path, monkeypatch):
+    (tmp_path / "tool.stl").write_bytes(b"")
+    monkeypatch.chdir(tmp_path)
+    tools = [{"shape": {"type": "mesh_file", "path": "tol.stl"}}]
+    told = refused("cannot read mesh", with_files_read, {"attachments": tools}, Path())
+    assert str(tmp_path) in told and "did you mean 'tool.stl'" in told

@@ -7,12 +7,15 @@ move its elbow out of the way. The cheapest chain of postures is kept.
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
 from cvqmpt_lab.base.errors import InvalidInputError
+from cvqmpt_lab.base.poses import rotation_vectors
 from cvqmpt_lab.certificate.certificate import CERTIFICATE_TOLERANCE, Certificate, certify
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.goals import SAMPLE_MARGIN_M, sample_region
@@ -23,6 +26,7 @@ from cvqmpt_lab.features.motion.motion_check import certified_motion
 from cvqmpt_lab.features.motion.timing import TimingSettings
 from cvqmpt_lab.features.motion.trajectory import Trajectory
 from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.robot.joint_frames import poses_at_once
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.search.result import JointPath
@@ -93,8 +97,15 @@ def follow_lines(
 
 
 def timed(legs: Sequence[Leg], settings: TimingSettings | None = None) -> Trajectory:
-    """Return the fastest certified motion along legs; it rests at every pose."""
-    motions = [certified_motion(leg.problem, leg.path, settings) for leg in legs]
+    """Return a fast certified motion along legs that does not rest at poses if it need not.
+
+    Corners at poses are rounded within the tolerances of the lines. Where no such motion is
+    certified, it rests at a pose, see `rests`.
+    """
+    settings = settings or TimingSettings()
+    if any(v is not None for v in (settings.start_velocity, settings.end_velocity)):
+        raise InvalidInputError("lines begin and end at rest: leave the velocities out")
+    motions = _motions(legs, settings)
     whole, begun = motions[0], motions[0].duration
     for motion in motions[1:]:
         times = np.round(np.concatenate([whole.times, begun + motion.times[1:]]), 9)
@@ -108,6 +119,73 @@ def timed(legs: Sequence[Leg], settings: TimingSettings | None = None) -> Trajec
         )
         begun = float(times[-1])
     return whole
+
+
+def rests(legs: Sequence[Leg], motion: Trajectory) -> list[int]:
+    """Return the numbers of the poses between the first and the last at which a motion rests."""
+    still = motion.positions[~motion.velocities.any(axis=1)]
+    ends = (leg.path.states[-1] for leg in legs[:-1])
+    # motions end at the posture up to rounding
+    return [k for k, q in enumerate(ends, start=1) if (np.abs(still - q) < 1e-9).all(axis=1).any()]
+
+
+def _motions(legs: Sequence[Leg], settings: TimingSettings) -> list[Trajectory]:
+    """Return certified motions along legs, each from rest to rest; as few as are found.
+
+    If no motion along all legs is certified, they are cut at the pose where the joints turn back,
+    or else in two halves.
+    """
+    if len(legs) == 1:
+        return [certified_motion(legs[0].problem, legs[0].path, settings)]
+    near, whole = legs[0].line, legs[0].problem
+    lines = [line for leg in legs for line in leg.line.lines]
+    limits = near.metres, near.radians
+    along = AlongLine(whole.robot, lines, *limits, allowed=CERTIFICATE_TOLERANCE)
+    states = np.concatenate([legs[0].path.states, *(leg.path.states[1:] for leg in legs[1:])])
+    problem = whole.changed(goals=states[-1:], constraint=(along,))
+    # a rounded corner moves the hand by at most about the reach times the deviation of the joints
+    spare = min(near.metres / max(whole.robot.reach, 0.1), near.radians)
+    rounded = replace(settings, deviation=max(settings.deviation, 0.75 * spare))
+    poses = [line.end for line in lines[:-1]]
+    passed = partial(_missed, whole.robot, poses, limits)
+    try:
+        return [certified_motion(problem, JointPath(states), rounded, passed)]
+    except InvalidInputError:
+        steps = [np.diff(leg.path.states, axis=0) for leg in legs]
+        cosines = [_cosine(one[-1], two[0]) for one, two in pairwise(steps)]
+        sharpest = int(np.argmin(cosines))
+        cut = 1 + sharpest if cosines[sharpest] < 0.0 else len(legs) // 2
+        return _motions(legs[:cut], settings) + _motions(legs[cut:], settings)
+
+
+def _cosine(a: np.ndarray, b: np.ndarray) -> float:
+    """Return the cosine of the angle between two vectors (n,)."""
+    return float(a @ b / max(np.linalg.norm(a) * np.linalg.norm(b), 1e-12))
+
+
+def _missed(
+    robot: Robot, poses: Sequence[np.ndarray], limits: tuple[float, float], motion: Trajectory
+) -> list[str]:
+    """Return which pose a motion does not pass in order within the tolerances; empty: none.
+
+    Args:
+        robot: the robot.
+        poses: (4, 4) of its end effector, in order.
+        limits: largest distance [m] and angle [rad] from each.
+        motion: the motion.
+    """
+    shares = np.arange(4) / 4.0
+    times = (motion.times[:-1, None] + shares * np.diff(motion.times)[:, None]).ravel()
+    T, last = poses_at_once(robot, motion.curve(times)), 0
+    for k, pose in enumerate(poses, start=1):
+        moved = np.linalg.norm(T[last:, :3, 3] - pose[:3, 3], axis=1)
+        near = last + np.flatnonzero(moved <= limits[0])
+        turned = np.linalg.norm(rotation_vectors(pose[:3, :3].T @ T[near, :3, :3]), axis=1)
+        near = near[turned <= limits[1]]
+        if len(near) == 0:
+            return [f"pose {k} is not passed within the tolerances"]
+        last = int(near[0])
+    return []
 
 
 def _legs(

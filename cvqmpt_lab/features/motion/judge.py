@@ -8,8 +8,13 @@ import numpy as np
 from cvqmpt_lab.base.polyline import distances_along, states_at
 from cvqmpt_lab.certificate.certificate import Fault
 from cvqmpt_lab.collision.exact import checker_of
+from cvqmpt_lab.features.motion.checked_curves import DryRun
 from cvqmpt_lab.features.motion.limit_use import Ends
-from cvqmpt_lab.features.motion.motion_check import DryRun, dry_run, speed_within_limits
+from cvqmpt_lab.features.motion.motion_check import (
+    StateFaults,
+    dry_run,
+    speed_within_limits,
+)
 from cvqmpt_lab.features.motion.trajectory import JointState, Motion
 from cvqmpt_lab.problem import PlanningProblem
 
@@ -53,10 +58,17 @@ class ClearanceAt(NamedTuple):
 def clearance_along(
     problem: PlanningProblem, check: DryRun, count: int = 200
 ) -> Iterator[ClearanceAt]:
-    """Yield the distances at `count` states, evenly in time, or along a path without times."""
+    """Yield the distances at `count` states, evenly in time, or along a path without times.
+
+    Of a motion that stands for several curves, these are the least distances of all of them.
+    """
     checker, (moments, states) = checker_of(problem), evenly(check, count)
-    for moment, q in zip(moments.tolist(), states, strict=True):
-        obstacle, own = checker.nearest_obstacle(q), checker.nearest_of_itself(q)
+    every = [states, *(evenly(other, count)[1] for other in check.others)]
+    for k, moment in enumerate(moments.tolist()):
+        obstacle, own = (
+            min((nearest(rows[k]) for rows in every), key=lambda found: found.distance)
+            for nearest in (checker.nearest_obstacle, checker.nearest_of_itself)
+        )
         pairs = (str(found.pair or "") for found in (obstacle, own))
         yield ClearanceAt(moment, obstacle.distance, next(pairs), own.distance, next(pairs))
 
@@ -74,6 +86,7 @@ def judge(
     last: JointState | None = None,
     ends: Ends | None = None,
     exact_clearance: bool = False,
+    more_faults: StateFaults | None = None,
 ) -> Judgement:
     """Judge a path or trajectory: free, on the manifold, within limits, start and goal right.
 
@@ -86,12 +99,13 @@ def judge(
             goal.
         exact_clearance: whether least distances are measured; this takes two to three times as
             long. Else they are lower bounds.
+        more_faults: as in `dry_run`.
 
     Raises InvalidInputError as `dry_run`.
     """
     if last is not None:
         ends = Ends(last.positions, start_velocity=last.velocities, part=True)
-    found = dry_run(problem, motion, ends, exact_clearance)
+    found = dry_run(problem, motion, ends, exact_clearance, more_faults)
     speed = 1.0 if found.certificate.valid else None
     if speed is None and found.limits_alone:
         speed = speed_within_limits(problem, motion, ends)

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 # share by which limits may be exceeded: the cubics through points of `time_path` do so by 0.5 %
 LIMIT_OVERSHOOT = {
     FaultKind.VELOCITY: 1e-3,
+    FaultKind.VELOCITY_JUMP: 0.01,
     FaultKind.ACCELERATION: 0.01,
     FaultKind.JERK: 0.01,
     FaultKind.EFFORT: 0.01,
@@ -33,6 +34,11 @@ LIMIT_OVERSHOOT = {
     FaultKind.FRAME_SPEED: 1e-3,
     FaultKind.FRAME_TURNING_SPEED: 1e-3,
 }
+
+# allowed jump of a joint's velocity between straight lines: this share of its velocity limit, or
+# what its acceleration limit gives in this time, a period of a controller at 100 Hz
+JUMP_SHARE = 0.1
+JUMP_PERIOD_S = 0.01
 
 
 class LimitUse(NamedTuple):
@@ -59,6 +65,11 @@ class LimitUse(NamedTuple):
     @property
     def text(self) -> str:
         """The use in words, as of a fault."""
+        if self.kind is FaultKind.VELOCITY_JUMP:
+            return (
+                f"the velocity of {self.of} jumps by {self.value:.4g} {self.unit} between straight "
+                f"lines, at most {self.limit:.4g} is allowed: give velocities, or more points"
+            )
         needs = self.kind in (FaultKind.EFFORT, FaultKind.TORQUE_RATE)
         does = "needs up to" if needs else "reaches"
         return (
@@ -123,7 +134,7 @@ def rate_uses(
     """Yield the use of the limits of velocity, acceleration and jerk.
 
     Jerk is that of quintics alone: accelerations of cubics jump between their pieces. Velocities
-    of lines jump, so that neither is judged.
+    of lines jump, see `jump_uses`, so that neither is judged.
 
     Args:
         name: name of the curve, see `curves_of`.
@@ -154,6 +165,33 @@ def rate_uses(
         value = float(used[share, k, joint] * limit[joint])
         name, own = limits.joint_names[joint], robot.unit_of(int(joint), unit)
         yield LimitUse(kind, name, value, float(limit[joint]), own, float(moment))
+
+
+def jump_uses(curve: PPoly, robot: Robot, ends: Ends) -> Iterator[LimitUse]:
+    """Yield the largest jump of velocity between straight lines, as a share of what is allowed.
+
+    A joint with limits v and a of velocity and acceleration may change its velocity at a point at
+    once by JUMP_SHARE v, or by JUMP_PERIOD_S a if this is more. Positions of a smooth motion every
+    h [s] have jumps of at most h a.
+
+    Args:
+        curve: the straight lines.
+        robot: the robot with the limits of its joints.
+        ends: the velocities before the begin and after the end; by default joints are at rest.
+    """
+    limits = robot.joint_limits
+    allowed = np.maximum(JUMP_SHARE * limits.velocity, JUMP_PERIOD_S * limits.acceleration)
+    slopes = curve.c[-2]
+    still = np.zeros_like(slopes[0])
+    before = still if ends.start_velocity is None else ends.start_velocity
+    after = still if ends.end_velocity is None else ends.end_velocity
+    if ends.part and ends.end_velocity is None:
+        after = slopes[-1]
+    jumps = np.abs(np.diff(slopes, axis=0, prepend=before[None], append=after[None]))
+    k, joint = np.unravel_index(int((jumps / allowed).argmax()), jumps.shape)
+    name, unit = limits.joint_names[joint], robot.unit_of(int(joint), "rad/s")
+    value, limit = float(jumps[k, joint]), float(allowed[joint])
+    yield LimitUse(FaultKind.VELOCITY_JUMP, name, value, limit, unit, float(curve.x[k]))
 
 
 def _rounded_jerk(curve: PPoly) -> np.ndarray:

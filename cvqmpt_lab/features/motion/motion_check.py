@@ -6,31 +6,31 @@ where it is a cubic; without accelerations it is not judged: between cubics they
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
-from functools import partial
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cvqmpt_lab.base.errors import InvalidInputError, require_kind
 from cvqmpt_lab.base.polyline import step_lengths
-from cvqmpt_lab.base.values import FULL_TURN_RAD
+from cvqmpt_lab.base.values import FULL_TURN_RAD, NORMALISED, other_units
 from cvqmpt_lab.certificate.certificate import Certificate, Fault, FaultKind, certify
 from cvqmpt_lab.collision.carried import reach_with
 from cvqmpt_lab.collision.exact import checker_of
+from cvqmpt_lab.features.motion.checked_curves import DryRun, worst_of
 from cvqmpt_lab.features.motion.frame_speeds import FrameSpeeds
 from cvqmpt_lab.features.motion.limit_use import (
-    LIMIT_OVERSHOOT,
     Ends,
     LimitUse,
     effort_uses,
     frame_uses,
+    jump_uses,
     position_use,
     rate_uses,
     rest_faults,
 )
-from cvqmpt_lab.features.motion.motion_curves import curves_of, straight_moments
+from cvqmpt_lab.features.motion.motion_curves import curves_of, refuse_other_units, straight_moments
 from cvqmpt_lab.features.motion.trajectory import Motion, Trajectory
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import robot_from_source
@@ -44,35 +44,28 @@ if TYPE_CHECKING:
 
 # largest distance of a joint from the straight pieces that are certified in its place [rad or m]
 CURVE_TOLERANCE = 1e-6
-
-
-class DryRun(NamedTuple):
-    """Certificate of a path or trajectory, with the faults of velocities, efforts and the like."""
-
-    certificate: Certificate  # places of faults are numbers of `states`
-    # (m, n) the certified states; of a trajectory, within CURVE_TOLERANCE of it [rad or m]
-    states: np.ndarray
-    # (m,) of the states, counted as those of the motion [s]; None for a path
-    times: np.ndarray | None = None
-    # largest distance of the robot's points from those on straight pieces between the states
-    deviation_m: float = 0.0
-    # "cubic", "quintic", "spline" or "linear", the worse one of those checked; "" for a path
-    curve: str = ""
-    uses: tuple[LimitUse, ...] = ()  # of the limits, on that curve
-
-    @property
-    def limits_alone(self) -> bool:
-        """Whether all faults are exceeded limits of rates and efforts, which slowing may cure."""
-        return all(fault.kind in LIMIT_OVERSHOOT for fault in self.certificate.faults)
+# function of states (m, n), straight motions between them: faults, whose places count these states
+StateFaults = Callable[[np.ndarray], Iterable[Fault]]
 
 
 def certified_motion(
-    problem: PlanningProblem, path: JointPath, settings: TimingSettings | None = None
+    problem: PlanningProblem,
+    path: JointPath,
+    settings: TimingSettings | None = None,
+    also: Callable[[Trajectory], Sequence[str]] = lambda motion: (),
 ) -> Trajectory:
     """Compute the fastest certified motion along a path, with the velocities of `settings` at ends.
 
-    The quintics between its points are certified, and the cubics. Raises InvalidInputError if the
-    path does not move, the robot has no acceleration limits, or no motion is certified.
+    The quintics between its points are certified, and the cubics.
+
+    Args:
+        problem: the problem.
+        path: the path.
+        settings: speed, deviation, duration and velocities at the ends; None: the defaults.
+        also: returns further faults of a motion.
+
+    Raises InvalidInputError if the path does not move, the robot has no acceleration limits, or no
+    motion is certified.
     """
     from cvqmpt_lab.features.motion.timing import time_path  # half a second to import
 
@@ -82,7 +75,9 @@ def certified_motion(
         raise InvalidInputError("the path does not move: there is nothing to time")
     states[-1] = path.states[-1]
 
-    faults = partial(trajectory_faults, problem, settings=settings)
+    def faults(motion: Trajectory) -> Sequence[str]:
+        return also(motion) or trajectory_faults(problem, motion, settings)
+
     frames = FrameSpeeds(problem.robot) if problem.robot.frame_limits else None
     limits = problem.robot.joint_limits
     return time_path(states, limits, settings, faults, problem.dynamics, frames)
@@ -126,17 +121,19 @@ def dry_run(
     motion: Motion,
     ends: Ends | None = None,
     exact_clearance: bool = False,
+    more_faults: StateFaults | None = None,
 ) -> DryRun:
-    """Check a path or trajectory before it is sent to an arm.
+    """Check a path or trajectory before it is sent to an arm: every curve that it stands for.
 
     Args:
         problem: start, goals, constraint, robot and scene.
         motion: the path or trajectory.
         ends: begin and end of the motion; None: at rest, at the start and at a goal.
         exact_clearance: as in `certify`.
+        more_faults: further faults of the states of every curve; None: there are none.
 
-    Raises InvalidInputError for joints of another robot, positions in degrees, and times that do
-    not increase.
+    Raises InvalidInputError for joints of another robot, positions in degrees, times that do not
+    increase, and ones that are probably no seconds.
     """
     require_kind("motion", motion, Motion, "give Motion(joint_names, positions, times)")
     ends = ends or Ends()
@@ -144,6 +141,7 @@ def dry_run(
     states, robot = motion.positions, problem.robot
     usable = states.ndim == 2 and states.shape[1] == robot.dof and np.isfinite(states).all()
     usable = usable and len(states) > 0
+    _refuse_unnamed_times(robot, motion)
     if usable:
         _refuse_degrees(robot, states)
     faults = (
@@ -153,35 +151,73 @@ def dry_run(
     )
     if motion.times is None or not usable:
         certificate = certify(problem, JointPath(states), exact_clearance=exact_clearance)
+        if usable and more_faults:
+            faults += more_faults(states)
         return DryRun(_with_faults(certificate, faults, ends), states)
+    curves, gap = curves_of(motion, ends.start_velocity, ends.end_velocity, ends.part)
+    if not ends.part:  # a part may hardly move
+        refuse_other_units(motion, next(iter(curves.values())), robot)
+    # curves that are so close to each other have the same straight pieces
+    together = gap <= 0.5 * CURVE_TOLERANCE
+    flat = CURVE_TOLERANCE - (gap if together else 0.0)
+    runs: list[DryRun] = []
+    for name, curve in curves.items():
+        if not (runs and together):
+            straight = _straight_run(problem, curve, flat, exact_clearance)
+            asked = [*(more_faults(straight.states) if more_faults else ()), *faults]
+        runs.append(_with_uses(problem, motion, ends, name, curve, straight, asked))
+    return worst_of(runs)
+
+
+def _straight_run(
+    problem: PlanningProblem, curve: PPoly, flat: float, exact_clearance: bool
+) -> DryRun:
+    """Certify the straight pieces in the place of a curve, from which it is at most `flat` away."""
+    robot = problem.robot
     # a hinge moves points by at most the diameter times dq, a slider by dq [m]
     deviation_m = (
         max(2.0 * reach_with(robot, problem.attachments), 1.0)
         * float(np.abs(robot.kinematics.multiplier).sum())
         * CURVE_TOLERANCE
     )
-    curves, gap = curves_of(motion, ends.start_velocity, ends.end_velocity, ends.part)
-    together = gap <= 0.5 * CURVE_TOLERANCE
-    runs: list[DryRun] = []
-    for name, curve in curves.items():
-        if not (runs and together):  # else the certified pieces are close to this curve, too
-            flat = CURVE_TOLERANCE - (gap if together else 0.0)
-            times = straight_moments(curve, robot, flat)
-            states = curve(times)
-            checker = checker_of(problem, deviation_m)
-            certificate = certify(problem, JointPath(states), checker, exact_clearance)
-        uses, missing = _uses(problem, motion, name, curve)
-        own = [*missing, *(use.fault(times) for use in uses if use.exceeded)]
-        own += rest_faults(name, curve, robot, len(times) - 1.0, ends)
-        checked = _with_faults(certificate, [*own, *faults], ends)
-        uses = (*position_use(robot, states, times), *uses)
-        # curves begin at 0, the times of a motion may begin later
-        begin = float(motion.times[0])
-        uses = tuple(use._replace(time=begin + use.time) for use in uses)
-        runs.append(DryRun(checked, states, begin + times, deviation_m, name, uses))
-        if checked.faults:
-            return runs[-1]
-    return min(runs, key=lambda run: (run.certificate.valid, _least(run.certificate)))
+    times = straight_moments(curve, robot, flat)
+    states = curve(times)
+    checker = checker_of(problem, deviation_m)
+    certificate = certify(problem, JointPath(states), checker, exact_clearance)
+    return DryRun(certificate, states, times, deviation_m)
+
+
+def _with_uses(
+    problem: PlanningProblem,
+    motion: Motion,
+    ends: Ends,
+    name: str,
+    curve: PPoly,
+    straight: DryRun,
+    more: Sequence[Fault],
+) -> DryRun:
+    """Return the check of one curve of a motion, with its use of limits.
+
+    Args:
+        problem: the problem.
+        motion: the trajectory.
+        ends: begin and end of the motion.
+        name: name of the curve, see `curves_of`.
+        curve: q(t).
+        straight: check of its straight pieces.
+        more: further faults.
+    """
+    states, times = straight.states, straight.times
+    assert times is not None and motion.times is not None
+    uses, missing = _uses(problem, motion, name, curve, ends)
+    own = [*missing, *(use.fault(times) for use in uses if use.exceeded)]
+    own += rest_faults(name, curve, problem.robot, len(times) - 1.0, ends)
+    certificate = _with_faults(straight.certificate, [*own, *more], ends)
+    # curves begin at 0, the times of a motion may begin later
+    begin = float(motion.times[0])
+    uses = (*position_use(problem.robot, states, times), *uses)
+    uses = tuple(use._replace(time=begin + use.time) for use in uses)
+    return straight._replace(certificate=certificate, times=begin + times, curve=name, uses=uses)
 
 
 def speed_within_limits(
@@ -202,7 +238,7 @@ def speed_within_limits(
         for name, curve in curves_of(slowed, ends.start_velocity, ends.end_velocity, ends.part)[
             0
         ].items():
-            uses, missing = _uses(problem, slowed, name, curve)
+            uses, missing = _uses(problem, slowed, name, curve, ends)
             faults = [*missing, *rest_faults(name, curve, problem.robot, 0.0, ends)]
             if faults or any(use.exceeded for use in uses):
                 return False
@@ -224,31 +260,55 @@ def speed_within_limits(
     return 0.01 * low
 
 
+def _refuse_unnamed_times(robot: Robot, motion: Motion) -> None:
+    """Refuse a table without a header whose first column is probably the time."""
+    states = motion.positions
+    if motion.joint_names is not None or motion.times is not None or states.ndim != 2:
+        return
+    more = len(states) > 1 and states.shape[1] == robot.dof + 1
+    if more and (np.diff(states[:, 0]) > 0.0).all():
+        raise InvalidInputError(
+            f"the motion has {robot.dof + 1} values a state, the robot {robot.dof} joints: is the "
+            f"first one the time? Give a table with the header "
+            f"{','.join(['time', *robot.joint_names])}"
+        )
+
+
 def _refuse_degrees(robot: Robot, states: np.ndarray) -> None:
-    """Refuse states (m, n) that are far outside the joint limits, but inside them as degrees."""
+    """Refuse states (m, n) that are far outside the joint limits: in other units.
+
+    As degrees they are inside; or they are LeRobot's normalised values, if most hinges have more
+    than a turn.
+    """
     hinges = ~robot.kinematics.prismatic[robot.kinematics.order[: robot.dof]]
     beyond = np.maximum(robot.lower - states, states - robot.upper).max(axis=0)
     turned = np.where(hinges, np.radians(states), states)
     # joints may stand beyond their limits in a motion with a fault
     inside = (turned >= robot.lower - 0.1) & (turned <= robot.upper + 0.1)
     j = int(np.where(hinges, beyond, -np.inf).argmax())
-    if hinges[j] and beyond[j] > FULL_TURN_RAD and inside.all():
+    most = np.abs(states).max(axis=0)
+    normalised = (
+        most.max() <= NORMALISED and (most[hinges] > FULL_TURN_RAD).sum() > 0.5 * hinges.sum()
+    )
+    if hinges[j] and beyond[j] > FULL_TURN_RAD and (inside.all() or normalised):
         k = int(np.abs(states[:, j]).argmax())
         raise InvalidInputError(
             f"{robot.joint_names[j]} is at {states[k, j]:.4g}, its limits are "
-            f"{robot.lower[j]:.4g} to {robot.upper[j]:.4g}: degrees? Give radians"
+            f"{robot.lower[j]:.4g} to {robot.upper[j]:.4g}: {other_units(states)}"
         )
 
 
 def _uses(
-    problem: PlanningProblem, motion: Motion, name: str, curve: PPoly
+    problem: PlanningProblem, motion: Motion, name: str, curve: PPoly, ends: Ends
 ) -> tuple[tuple[LimitUse, ...], list[Fault]]:
     """Return the use of every limit on a curve of a motion, and why one is not known."""
     # the quintic has these accelerations at its points
     given = motion.accelerations if name == "cubic" else None
     found = [*rate_uses(name, curve, given, problem.robot)]
     proven = [*frame_uses(problem.robot, curve)]
-    if name != "linear":
+    if name == "linear":
+        found += jump_uses(curve, problem.robot, ends)
+    else:
         proven += effort_uses(problem, curve)
     missing = [item for item in proven if isinstance(item, Fault)]
     return (*found, *(item for item in proven if isinstance(item, LimitUse))), missing
@@ -259,14 +319,6 @@ def _with_faults(certificate: Certificate, faults: Sequence[Fault], ends: Ends) 
     kinds = (FaultKind.START, FaultKind.GOAL) if ends.part else ()
     left = (fault for fault in certificate.faults if fault.kind not in kinds)
     return replace(certificate, faults=(*faults, *left))
-
-
-def _least(certificate: Certificate) -> float:
-    """Return the least distance that a certificate knows [m]: measured, else proven."""
-    if not np.isnan(certificate.min_clearance_m):
-        return certificate.min_clearance_m
-    clearances = filter(None, (certificate.obstacle_clearance, certificate.self_clearance))
-    return min((item.at_least_m for item in clearances), default=np.inf)
 
 
 def _start_fault(

@@ -110,8 +110,63 @@ def _check_times(times: np.ndarray, longest: float = 1e5) -> None:
     if steps.sum() > longest:
         unit = "nanoseconds" if steps.sum() > 1e3 * longest else "milliseconds or microseconds"
         raise InvalidInputError(
-            f"the motion lasts {steps.sum():.3g} s: are its times in {unit}? Give seconds"
+            f"the motion lasts {steps.sum():.3g} s: are its times in {unit}? Give seconds, or call "
+            "the column of a table time_ms, time_us or time_ns"
         )
+
+
+def refuse_other_units(motion: Motion, curve: PPoly, robot: Robot, least: float = 0.01) -> None:
+    """Refuse a trajectory whose times are probably no seconds.
+
+    With positions alone, these are times with which a motion uses less than `least` of every limit
+    of velocity and acceleration. With velocities, these are times with which they would move the
+    joints about 10^3, 10^6 or 10^9 times as far as the positions say.
+
+    Args:
+        motion: the trajectory.
+        curve: its first curve.
+        robot: the robot with the limits of its joints.
+        least: see above.
+    """
+    assert motion.times is not None
+    names = ("milliseconds", "ms"), ("microseconds", "us"), ("nanoseconds", "ns")
+    if motion.velocities is not None:
+        factor = _moved_too_far(motion.times, motion.positions, motion.velocities)
+        said = f"its velocities would move the joints {factor:.2g} times as far as its positions do"
+        cure = ""
+    else:
+        factor = 0.0 if motion.in_seconds else _too_slow(curve, robot, least)
+        said = f"no joint uses more than {1.0 / max(factor, 1.0):.2g} of its velocity limit"
+        cure = (
+            ", or call the column of the table time_{}; if they are seconds, call it time_s (in "
+            "Python: Motion(..., in_seconds=True))"
+        )
+    if factor:
+        unit, short = names[int(factor > 1e5) + int(factor > 1e8)]
+        raise InvalidInputError(
+            f"in {np.ptp(motion.times):.4g} s {said}: are its times in {unit}? Give seconds"
+            f"{cure.format(short)}"
+        )
+
+
+def _too_slow(curve: PPoly, robot: Robot, least: float) -> float:
+    """Return 1 over the used share of the velocity limits; 0.0 if a limit is used by `least`."""
+    limits = robot.joint_limits
+    share = float((np.abs(rates(curve, 1)) / limits.velocity).max())
+    bent = float((np.abs(rates(curve, 2)) / limits.acceleration).max())
+    return 1.0 / share if 0.0 < share < least and bent < least else 0.0
+
+
+def _moved_too_far(times: np.ndarray, positions: np.ndarray, velocities: np.ndarray) -> float:
+    """Return how often the way by velocities (m, n) is that by positions (m, n).
+
+    It is 0.0 unless it is about 10^3, 10^6 or 10^9.
+    """
+    speeds = np.abs(velocities)
+    far = float((0.5 * np.diff(times)[:, None] * (speeds[:-1] + speeds[1:])).sum())
+    moved = float(np.abs(np.diff(positions, axis=0)).sum())
+    factor = far / moved if moved > 0.0 else 0.0
+    return factor if any(x / 3.0 < factor < 3.0 * x for x in (1e3, 1e6, 1e9)) else 0.0
 
 
 def rates(curve: PPoly, order: int) -> np.ndarray:

@@ -25,12 +25,12 @@ from cvqmpt_lab.certificate.certificate import (
 from cvqmpt_lab.collision.carried import carried_pairs, pairs_of_carried, reach_with
 from cvqmpt_lab.collision.exact import COAL_ROUNDING_M
 from cvqmpt_lab.collision.solids import obstacles_within, solids
-from cvqmpt_lab.features.motion.limit_use import share_text
-from cvqmpt_lab.features.motion.motion_check import DryRun
+from cvqmpt_lab.features.motion.checked_curves import DryRun
+from cvqmpt_lab.features.motion.limit_use import LimitUse, share_text
 from cvqmpt_lab.features.motion.trajectory import Motion
 from cvqmpt_lab.planning.solution import Solution
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.robot.robot import LeftOut
+from cvqmpt_lab.robot.left_out import LeftOut
 from cvqmpt_lab.scene.scene import Scene
 
 
@@ -175,7 +175,10 @@ def report_of(found: DryRun, contents: dict[str, Any]) -> Report:
         slower = contents["limits_hold_at_speed"]
         lines.append(("slower", f"at {slower:.2f} of this speed every limit holds"))
     lines += [
-        ("limit", f"{use.words} used to {use.share:.3g} by {use.of} at {use.time:.4f} s")
+        (
+            "limit",
+            f"{use.words} used to {use.share:.3g} by {use.of} at {use.time:.4f} s{_size(use)}",
+        )
         for use in found.uses
     ]
     if certificate.states_checked == 0:
@@ -208,6 +211,7 @@ def report_of(found: DryRun, contents: dict[str, Any]) -> Report:
     near = compared["obstacles"] - len(compared["out_of_reach"])
     reasons = Counter(pair["reason"] for pair in compared["left_out"])
     left = ", ".join(f"{count} {reason}" for reason, count in reasons.most_common())
+    left += f": {LeftOut.named([LeftOut(**pair) for pair in compared['left_out']])}" if left else ""
     lines += [
         (
             "constraint",
@@ -235,7 +239,7 @@ def report_of(found: DryRun, contents: dict[str, Any]) -> Report:
         *(("note", note) for note in compared["notes"]),
         (
             "tolerances",
-            f"constraint {tolerances['constraint']:g} rad or m, step "
+            f"constraint {tolerances['constraint']:g} rad, m or unit of F, step "
             f"{tolerances['step_rad']:g} rad, ends {tolerances['ends_rad']:g} rad, margin "
             f"{1e3 * tolerances['margin_m']:.2g} mm, clearance from obstacles "
             f"{1e3 * tolerances['clearance_m']:g} mm",
@@ -247,6 +251,13 @@ def report_of(found: DryRun, contents: dict[str, Any]) -> Report:
         ),
     ]
     return Report.of(lines, lambda: contents)
+
+
+def _size(use: LimitUse) -> str:
+    """Return the size of a jump of velocity between straight lines in words, or ""."""
+    if use.kind is not FaultKind.VELOCITY_JUMP:
+        return ""
+    return f", {use.value:.3g} of {use.limit:.3g} {use.unit} between straight lines"
 
 
 def _distance(found: DryRun, clearance: Clearance) -> str:

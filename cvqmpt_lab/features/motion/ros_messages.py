@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from cvqmpt_lab.base.errors import InvalidInputError, mapping, require_choice, shown, whole_number
+from cvqmpt_lab.base.values import scalar
 
 
 def joint_trajectory(message: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -42,7 +43,12 @@ def joint_trajectory(message: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def nanoseconds(where: str, time: Any) -> int:
-    """Return a ROS duration, {sec, nanosec} or ROS 1's {secs, nsecs}, in nanoseconds."""
+    """Return a ROS duration, {sec, nanosec} or ROS 1's {secs, nsecs}, in nanoseconds.
+
+    A number is read as seconds.
+    """
+    if isinstance(time, int | float) and not isinstance(time, bool):
+        return round(1e9 * scalar(float, time, where))
     fields = mapping(time, where, "sec, nanosec")
     whole, rest = ("secs", "nsecs") if "secs" in fields else ("sec", "nanosec")
     for key in fields:
@@ -63,7 +69,8 @@ def _joined(parts: list[Mapping[str, Any]]) -> Mapping[str, Any]:
             )
         where = f"trajectory {k}: time_from_start"
         for number, point in enumerate(part.get("points") or []):
-            elapsed = begun + nanoseconds(where, mapping(point, where).get("time_from_start"))
+            time = mapping(point, where).get("time_from_start")
+            elapsed = begun + nanoseconds(where, time)
             again = bool(points) and number == 0
             if again:  # this point is left out, so that it must be the one before
                 kinds = ("positions", "velocities", "accelerations")
@@ -76,6 +83,8 @@ def _joined(parts: list[Mapping[str, Any]]) -> Mapping[str, Any]:
                     )
             else:
                 seconds = dict(zip(("sec", "nanosec"), divmod(elapsed, 10**9), strict=True))
-                points.append({**point, "time_from_start": seconds})
+                # a number stays one, as its unit is not certain
+                later = seconds if isinstance(time, Mapping) else 1e-9 * elapsed
+                points.append({**point, "time_from_start": later})
         begun = elapsed if part.get("points") else begun
     return {**first, "points": points}

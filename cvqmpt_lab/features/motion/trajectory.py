@@ -2,8 +2,9 @@
 
 Between two states a trajectory is a quintic polynomial; `extremes` and `bounds` are about these.
 
-A csv file has one row per state and perhaps a header of joint names. With a column ``time`` it is a
-trajectory, with columns ``JOINT_position``, ``JOINT_velocity`` and perhaps ``JOINT_acceleration``.
+A csv file has one row per state and perhaps a header of joint names, see `tables`. With a column
+``time`` it is a trajectory, with columns ``JOINT_position``, ``JOINT_velocity`` and perhaps
+``JOINT_acceleration``.
 A json file holds a list of states, an object with ``joint_names`` and ``states`` (or ``path``, as
 ``cvqmpt plan --json`` prints), or ROS's `JointTrajectory`, also inside of the messages of
 `ros_messages`. A yaml file holds the same, as ``ros2 topic echo --full-length`` prints it. An npz
@@ -15,11 +16,9 @@ through positions, velocities and accelerations, and these are certified.
 
 from __future__ import annotations
 
-import csv
-import io
 import json
+import logging
 import math
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -41,11 +40,13 @@ from cvqmpt_lab.base.readers import kind_of, read_arrays, read_by_suffix
 from cvqmpt_lab.base.values import numbers
 from cvqmpt_lab.features.motion.bags import is_bag, message_of_bag
 from cvqmpt_lab.features.motion.ros_messages import joint_trajectory, nanoseconds
+from cvqmpt_lab.features.motion.tables import read_table
 from cvqmpt_lab.robot.robot import LIMIT_UNITS, JointLimits
 
 if TYPE_CHECKING:
     from scipy.interpolate import PPoly  # half a second to import
 
+log = logging.getLogger("cvqmpt")
 CSV_COLUMN_KINDS = ("position", "velocity", "acceleration")  # columns are called JOINT_kind
 
 
@@ -120,6 +121,8 @@ class Motion:
     accelerations: np.ndarray | None = None  # (m, n) [rad/s^2 or m/s^2]; None: not in the file
     # (n,) by kind: limits that the file says it was timed with, inf where there is none
     limits: Mapping[str, np.ndarray] = field(default_factory=dict)
+    # whether `times` are seconds for certain; else a motion that hardly uses its limits is refused
+    in_seconds: bool = False
 
     def __post_init__(self) -> None:
         for name in ("positions", "times", "velocities", "accelerations"):
@@ -163,7 +166,7 @@ class Motion:
         )
         limits = {kind: values[order] for kind, values in self.limits.items()}
         states = self.positions[:, order]
-        return Motion(names, states, self.times, velocities, accelerations, limits)
+        return Motion(names, states, self.times, velocities, accelerations, limits, self.in_seconds)
 
     def at_speed(self, factor: float) -> Motion:
         """Return a trajectory with `factor` times the speed, 0 < factor; a path is unchanged."""
@@ -175,6 +178,7 @@ class Motion:
             times=self.times / factor,
             velocities=None if v is None else factor * v,
             accelerations=None if a is None else factor**2 * a,
+            in_seconds=True,
         )
 
 
@@ -272,21 +276,9 @@ def _checked(motion: Motion, path: Path) -> Motion:
 
 def _from_csv(data: bytes) -> Motion:
     # some programs begin a text with a byte order mark
-    rows = [row for row in csv.reader(io.StringIO(data.decode("utf-8-sig"))) if row]
-    if not rows:
-        raise InvalidInputError("it is empty")
-    header, lines = None, rows
-    try:
-        _ = [float(cell) for cell in rows[0]]
-    except ValueError:
-        header, lines = tuple(name.strip() for name in rows[0]), rows[1:]
-    if not lines:
-        raise InvalidInputError("it has a header, but no states under it")
-    table = np.array([[_decimal(cell) for cell in row] for row in lines]).reshape(len(lines), -1)
-    if header is not None and table.shape[1] != len(header):
-        raise InvalidInputError(f"{len(header)} names in its header, {table.shape[1]} values a row")
+    header, table, in_seconds, named = read_table(data.decode("utf-8-sig"))
     if header is None or "time" not in header:
-        return Motion(header, table)
+        return Motion(header if named else None, table)
     unique(header, "columns")
     names = tuple(name.removesuffix("_position") for name in header if name.endswith("_position"))
     if not any(name.endswith(tuple(f"_{kind}" for kind in CSV_COLUMN_KINDS)) for name in header):
@@ -310,15 +302,8 @@ def _from_csv(data: bytes) -> Motion:
                         "or none"
                     )
             kinds[k] = np.stack([columns[f"{name}_{kind}"] for name in names], axis=1)
-    return Motion(names, kinds[0], columns["time"], kinds[1], kinds[2])
-
-
-def _decimal(cell: str) -> float:
-    """Number in a cell of a csv file; refuses what only `float` accepts: 1_0, other scripts."""
-    decimal = r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?|[+-]?(nan|inf)"
-    if re.fullmatch(decimal, cell.strip(" \t"), re.ASCII | re.IGNORECASE) is None:
-        raise InvalidInputError(f"{shown(cell)}: give a decimal number, such as 0.25 or -1e-3")
-    return float(cell)
+    own = names if named else None
+    return Motion(own, kinds[0], columns["time"], kinds[1], kinds[2], in_seconds=in_seconds)
 
 
 def _from_arrays(data: bytes, most: int = 2**26) -> Motion:
@@ -393,7 +378,10 @@ def _from_points(names: tuple[str, ...] | None, points: list[dict[str, Any]]) ->
     times = np.array(
         [seconds + 1e-9 * rest for seconds, rest in (divmod(t, 10**9) for t in elapsed)]
     )
-    return Motion(names, kinds[0], times, kinds[1], kinds[2])
+    in_seconds = all(isinstance(point["time_from_start"], Mapping) for point in points)
+    if not in_seconds:
+        log.warning("time_from_start is a number in the motion: it is read as seconds")
+    return Motion(names, kinds[0], times, kinds[1], kinds[2], in_seconds=in_seconds)
 
 
 def _limits(given: Any, motion: Motion) -> dict[str, np.ndarray]:

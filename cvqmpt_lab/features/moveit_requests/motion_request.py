@@ -10,7 +10,7 @@ are `EulerBounds`. Joint positions are checked here.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,18 +19,17 @@ import numpy as np
 from cvqmpt_lab.base.errors import (
     InvalidInputError,
     at,
+    few,
     known_fields,
     located,
     mapping,
     require_choice,
     shown,
-    unique,
 )
-from cvqmpt_lab.base.files import json_value, yaml_value
 from cvqmpt_lab.base.polyline import cut, nearest_places
 from cvqmpt_lab.base.poses import pose, ros_vector
-from cvqmpt_lab.base.readers import field_of, listed, read_by_suffix
-from cvqmpt_lab.base.values import scalar
+from cvqmpt_lab.base.readers import field_of, listed, plain_readers, read_by_suffix
+from cvqmpt_lab.base.values import other_units, scalar
 from cvqmpt_lab.certificate.between_states import largest_violation
 from cvqmpt_lab.certificate.certificate import (
     CERTIFICATE_TOLERANCE,
@@ -38,16 +37,19 @@ from cvqmpt_lab.certificate.certificate import (
     Fault,
     FaultKind,
 )
+from cvqmpt_lab.constraints.report import angle_asked, binds_no_angle
 from cvqmpt_lab.constraints.task_space_region import FREE, TaskSpaceRegion
 from cvqmpt_lab.features.motion.judge import Judgement, judge
 from cvqmpt_lab.features.motion.limit_use import Ends
 from cvqmpt_lab.features.motion.trajectory import Motion
 from cvqmpt_lab.features.moveit_requests.euler_bounds import EulerBounds
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.robot.hulls import srdf_root
+from cvqmpt_lab.robot.joint_states import joint_state_values, log
 from cvqmpt_lab.robot.load import gripper_joints, robot_from_source
+from cvqmpt_lab.robot.pairs import srdf_root
 from cvqmpt_lab.robot.robot import FrameLimit, Robot
 from cvqmpt_lab.robot.source import read_source
+from cvqmpt_lab.scene.moveit_frames import frame_name, standing_frame
 from cvqmpt_lab.scene.moveit_scenes import read_pose, read_primitive, refuse_attached
 from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.scene.shapes import Box, Cylinder, Sphere
@@ -103,12 +105,7 @@ class MotionRequest:
 
 def read_request(path: Path, robot: Robot) -> MotionRequest:
     """Read the request of a json or yaml file; InvalidInputError names what cannot be judged."""
-    readers = {
-        ".json": lambda data: _request(json_value(data.decode("utf-8-sig"), "it"), robot),
-        ".yaml": lambda data: _request(yaml_value(data.decode()), robot),
-    }
-    readers[".yml"] = readers[".yaml"]
-    return read_by_suffix(readers, path, "request")
+    return read_by_suffix(plain_readers(_request), path, "request", robot)
 
 
 def judge_request(
@@ -140,14 +137,14 @@ def judge_request(
     current = first.copy()
     for name, value in request.start.items():
         current[robot.joint_names.index(name)] = value
-    judged = judge(motion, problem, ends=Ends(current=current), exact_clearance=exact)
-    check = judged.check
-    faults = [*_goal_faults(request, robot, states[-1], len(check.states) - 1.0)]
-    faults += _path_faults(request.path, robot, check.states)
-    if faults:
-        certificate = replace(check.certificate, faults=(*faults, *check.certificate.faults))
-        judged = Judgement(check._replace(certificate=certificate), None)
-    return problem, judged
+
+    def asked(rows: np.ndarray) -> Iterator[Fault]:
+        yield from _goal_faults(request, robot, states[-1], len(rows) - 1.0)
+        yield from _path_faults(request.path, robot, rows)
+
+    return problem, judge(
+        motion, problem, ends=Ends(current=current), exact_clearance=exact, more_faults=asked
+    )
 
 
 def _limited(robot: Robot, request: MotionRequest) -> Robot:
@@ -289,12 +286,8 @@ def _start(state: Any, robot: Robot) -> tuple[dict[str, float], dict[str, float]
     fields = _given(state, "start_state", parts)
     refuse_attached(fields)
     where = "start_state.joint_state"
-    joints = _given(fields.get("joint_state"), where, "header name position velocity effort")
-    names = [str(name) for name in listed(joints.get("name"), f"{where}.name")]
-    unique(names, f"{where}.name")
-    values = listed(joints.get("position"), f"{where}.position")
-    if len(names) != len(values):
-        raise InvalidInputError(f"{where} has {len(names)} names and {len(values)} positions")
+    joints = fields.get("joint_state") or {}
+    every = joint_state_values(joints, where)
     for rate in listed(joints.get("velocity"), f"{where}.velocity"):
         if abs(_number(rate, f"{where}.velocity")) > 0.01:  # measured at rest, it is not 0
             raise InvalidInputError(
@@ -308,18 +301,14 @@ def _start(state: Any, robot: Robot) -> tuple[dict[str, float], dict[str, float]
             f"start_state.multi_dof_joint_state places {shown(placed)}, which is not judged; leave "
             "it empty and place the robot by --base"
         )
-    every = {
-        name: _number(value, f"start_state: {name}")
-        for name, value in zip(names, values, strict=True)
-    }
     found = {name: value for name, value in every.items() if name in robot.joint_names}
-    if names and not found:
+    if every and not found:
         raise InvalidInputError(
-            f"start_state has joints {', '.join(map(shown, names))}; the robot has "
+            f"start_state has joints {', '.join(map(shown, every))}; the robot has "
             f"{', '.join(robot.joint_names)}: give the robot that was planned"
         )
     missing = [name for name in robot.joint_names if name not in found]
-    if names and missing and not field_of(state, "is_diff"):
+    if every and missing and not field_of(state, "is_diff"):
         raise InvalidInputError(
             f"start_state has no value of {', '.join(missing)}; add it, or write is_diff: true if "
             "the motion may start at any value of it"
@@ -328,7 +317,11 @@ def _start(state: Any, robot: Robot) -> tuple[dict[str, float], dict[str, float]
 
 
 def _fingers(values: Mapping[str, float], robot: Robot) -> dict[str, float]:
-    """Return the joints of the gripper at other values than the robot's; refuse other joints."""
+    """Return the joints of the gripper at other values than the robot's.
+
+    Other joints that are elsewhere are refused; those that the robot lacks are left out, as by
+    MoveIt.
+    """
     held = {joint.name: joint.value for joint in robot.held_joints}
     other = {
         name: value
@@ -347,9 +340,9 @@ def _fingers(values: Mapping[str, float], robot: Robot) -> dict[str, float]:
             )
     known = {*held, *robot.moving_joints}
     if unknown := [name for name in values if name not in known]:
-        raise InvalidInputError(
-            f"start_state has joint {shown(unknown[0])}, which {robot.name} lacks: give the robot "
-            "that was planned, with all of its parts"
+        log.warning(
+            f"start_state: {few(unknown)} are left out: {robot.name} lacks them, as wheels; else "
+            "give the robot that was planned, with all of its parts"
         )
     for joint in fingers.values():
         if joint.mimics in other and joint.name not in values:
@@ -425,29 +418,20 @@ def _joint(fields: Mapping[str, Any], robot: Robot) -> JointBounds:
     below = _number(fields.get("tolerance_below", 0.0), "tolerance_below")
     above = _number(fields.get("tolerance_above", 0.0), "tolerance_above")
     j = robot.joint_names.index(name)
+    free = value - below <= robot.lower[j] and value + above >= robot.upper[j]
+    slides = robot.kinematics.prismatic[robot.kinematics.order[j]]
+    if free and not slides and binds_no_angle(max(below, above)):
+        raise InvalidInputError(f"tolerance of {name}: {angle_asked(max(below, above))}")
     if value - below > robot.upper[j] or value + above < robot.lower[j]:
         raise InvalidInputError(
             f"position {value:.4g} of {name} is outside its limits {robot.lower[j]:.4g} to "
-            f"{robot.upper[j]:.4g}: degrees? Give radians, and the robot that was planned"
+            f"{robot.upper[j]:.4g}: {other_units([value])}, and the robot that was planned"
         )
     return JointBounds(name, value - below, value + above)
 
 
-def standing_frame(name: str, robot: Robot) -> np.ndarray:
-    """Return T_world_frame (4, 4) of a frame_id of a message, which must stand still."""
-    if name in ("", "world") and name not in robot.frame_names:
-        return np.eye(4)
-    row, T = robot.link_of(name)
-    if row != 0:
-        raise InvalidInputError(
-            f"frame_id {name!r} is moved by the planned joints; give a frame that stands still, "
-            f"such as {robot.frame_names[0]!r}"
-        )
-    return T
-
-
 def _frame(fields: Mapping[str, Any], robot: Robot) -> np.ndarray:
-    return standing_frame(str(field_of(fields.get("header"), "frame_id") or ""), robot)
+    return standing_frame(frame_name(field_of(fields.get("header"), "frame_id")), robot)
 
 
 def _link(fields: Mapping[str, Any], robot: Robot) -> str:
@@ -493,6 +477,9 @@ def _orientation(fields: Mapping[str, Any], robot: Robot) -> TaskSpaceRegion | E
             for name in (f"absolute_{axis}_axis_tolerance" for axis in "xyz")
         ]
     )
+    for axis, bound in zip("xyz", most.tolist(), strict=True):
+        if binds_no_angle(bound):
+            raise InvalidInputError(f"absolute_{axis}_axis_tolerance: {angle_asked(bound)}")
     kind = fields.get("parameterization", 0)
     if kind not in (0, 1):
         raise InvalidInputError(

@@ -307,7 +307,7 @@ def drawing_of_solution(
         hidden=hidden,
         plots=plots,
         verdict=solution.verdict or "not solved",
-        lines=repr(solution).splitlines(),
+        lines=[*repr(solution).splitlines(), *solution.report().only("uncompared").lines],
     )
 
 

@@ -5,7 +5,7 @@ Intrinsics and extrinsics are JSON or YAML files.
 
 import io
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,16 +21,12 @@ from cvqmpt_lab.base.errors import (
     shown,
     whole_number,
 )
-from cvqmpt_lab.base.files import json_value, write_bytes, write_text, yaml_value
+from cvqmpt_lab.base.files import write_bytes, write_text
 from cvqmpt_lab.base.poses import Placement, Pose, PoseForm, rigid, ros_vector
-from cvqmpt_lab.base.readers import read_array, read_by_suffix
+from cvqmpt_lab.base.readers import plain_readers, read_array, read_by_suffix
 from cvqmpt_lab.base.values import Array, FloatArray
-<<<<<<< HEAD
 from cvqmpt_lab.features.scan.depth_forms import refuse_buffer
-from cvqmpt_lab.scene.cloud_files import Cloud, check_lengths, read_array, read_cloud
-=======
 from cvqmpt_lab.scene.cloud_files import Cloud, check_lengths, read_cloud
->>>>>>> w1
 from cvqmpt_lab.scene.scene import log, refuse_far_poses
 from cvqmpt_lab.sensing.camera import Intrinsics, View
 
@@ -187,7 +183,10 @@ def _check_size(shape: tuple[int, ...], lens: Intrinsics) -> None:
 
 
 def read_intrinsics(path: Path | str) -> Intrinsics:
-    """Read intrinsics: fields of `Intrinsics`, of ROS or Open3D, or K; errors name the file."""
+    """Read intrinsics: fields of `Intrinsics`, of ROS, OpenCV or Open3D, or K.
+
+    Errors name the file.
+    """
     data = _read_settings(path, "intrinsics")
     with located(f"intrinsics {path}"):
         return _intrinsics(data)
@@ -212,6 +211,11 @@ def _intrinsics(data: Any) -> Intrinsics:
         *("projection_matrix", "P", "p", "rectification_matrix", "R", "r", "depth_scale"),
         *("header", "camera_name", "distortion_model", "device_name", "serial_number", "fps"),
         *("color_format", "depth_format", "color_mode", "depth_mode", "stream_length_usec"),
+        # what the programs of OpenCV write beside the lens
+        *("calibration_time", "nframes", "nr_of_frames", "board_width", "board_height", "flags"),
+        *("square_size", "marker_size", "avg_reprojection_error", "extrinsic_parameters"),
+        *("per_view_reprojection_errors", "image_points", "grid_points", "fisheye_model"),
+        *("fix_aspect_ratio", "aspectRatio"),
     )
     known_fields(fields, f"intrinsics with {name}", known)
     # units per metre (Open3D) or metres per unit: both mean millimetres, as a 16-bit image does
@@ -220,6 +224,8 @@ def _intrinsics(data: Any) -> Intrinsics:
             f"depth_scale is {shown(depth_scale)}, which is not read: remove it, and give --scale, "
             "the length of one unit [m]"
         )
+    if fields.get("fisheye_model") or fields.get("distortion_model") in ("equidistant", "fisheye"):
+        raise InvalidInputError("it is a fisheye lens; give rectified images and their intrinsics")
     distortion = next(
         (fields[d] for d in ("distortion_coefficients", "D", "d") if d in fields), None
     )
@@ -334,6 +340,9 @@ def has_bare_quaternion(path: Path | str) -> bool:
 def _rigid(data: Any) -> Any:
     """Return a pose in one of the forms of `read_extrinsics` as a value that `Pose` reads."""
     if isinstance(data, Mapping):
+        if {"rows", "cols", "data"} <= data.keys():
+            entries = Array((16,), "numbers, row after row").read(data["data"], "T_world_camera")
+            return _rigid(entries.reshape(4, 4).tolist())
         return _of_message(data)
     T = np.array(PoseForm.matrix.read(data, "T_world_camera"))
     R = T[:3, :3]
@@ -388,9 +397,4 @@ def _listed(value: Any) -> Any:
 
 def _read_settings(path: Path | str, what: str) -> Any:
     """Return the value in a JSON or YAML file; errors call the file `what`."""
-    parsers: Mapping[str, Callable[[bytes], Any]] = {
-        ".json": lambda data: json_value(data.decode("utf-8"), "it"),
-        ".yaml": lambda data: yaml_value(data.decode("utf-8")),
-        ".yml": lambda data: yaml_value(data.decode("utf-8")),
-    }
-    return read_by_suffix(parsers, path, what, most=2**16)
+    return read_by_suffix(plain_readers(), path, what, most=2**16)

@@ -14,7 +14,8 @@ from cvqmpt_lab.certificate.certificate import CERTIFICATE_TOLERANCE
 from cvqmpt_lab.constraints.region_constraint import RegionConstraint
 from cvqmpt_lab.constraints.task_space_region import symmetric_region
 from cvqmpt_lab.features.lines.along_line import AlongLine, Line
-from cvqmpt_lab.features.lines.follow_lines import follow_lines, timed
+from cvqmpt_lab.features.lines.follow_lines import follow_lines, rests, timed
+from cvqmpt_lab.features.motion.motion_check import certified_motion
 from cvqmpt_lab.features.motion.timing import TimingSettings
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box
@@ -86,19 +87,65 @@ def test_fine_tolerances_are_kept_and_finer_ones_refused(panda, seam):
         called(told, follow_lines, panda, Scene("free", ()), seam[:2], *tolerances, START)
 
 
-def test_motions_along_lines_rest_at_poses_and_keep_tolerances(panda, seam, legs):
+@pytest.fixture(scope="module")
+def corner(panda, seam):
+    """Three poses: 0.04 m sideways, then 0.1 m forward; and the legs between them."""
+    poses = [seam[0].copy() for _ in range(3)]
+    poses[1][1, 3] += 0.04
+    poses[2][:3, 3] = poses[1][:3, 3] + (0.1, 0.0, 0.0)
+    return poses, follow_lines(panda, Scene("free", ()), poses, 0.002, 0.01, START)
+
+
+def test_a_motion_passes_a_pose_within_the_tolerances_without_a_rest(panda, corner):
+    seam, legs = corner
     motion = timed(legs, TimingSettings(speed=0.5))
+    assert np.abs(motion.velocities[1:-1]).max(axis=1).min() > 1e-3 and rests(legs, motion) == []
+    T = panda.poses(motion.curve(np.linspace(0.0, motion.duration, 2000)))
+    gaps = np.linalg.norm(T[:, :3, 3] - seam[1][:3, 3], axis=1)
+    middle = int(gaps.argmin())
+    off = Rotation.from_matrix(seam[1][:3, :3].T @ T[middle, :3, :3]).magnitude()
+    assert gaps[middle] <= 0.002 and off <= 0.01
+    states = motion.curve(np.linspace(0.0, motion.duration, 60))
+    both = [[away(panda, Line(*ends), np.stack([q, q])) for q in states] for ends in pairs(seam)]
+    assert (np.array(both) <= (0.002, 0.01)).all(axis=2).any(axis=0).all()
+
+
+def pairs(poses):
+    return [*pairwise(poses)]
+
+
+def test_a_circle_of_poses_takes_less_than_half_of_the_time_with_rests(panda):
+    angles = np.linspace(0.0, 2.0 * np.pi, 31)
+    poses = [panda.pose(START) for _ in angles]
+    for T, a in zip(poses, angles, strict=True):
+        T[:2, 3] += 0.05 * np.cos(a) - 0.05, 0.05 * np.sin(a)
+    legs = follow_lines(panda, Scene("free", ()), poses)
+    settings = TimingSettings(speed=0.5)
+    rested = sum(certified_motion(leg.problem, leg.path, settings).duration for leg in legs[:3])
+    motion = timed(legs, settings)
+    assert motion.duration < 0.5 * len(legs) / 3 * rested and rests(legs, motion) == []
+    T = panda.poses(motion.curve(np.linspace(0.0, motion.duration, 500)))
+    centre = panda.pose(START)[:3, 3] - (0.05, 0.0, 0.0)
+    radii = np.linalg.norm(T[:, :2, 3] - centre[:2], axis=1)
+    assert np.abs(radii - 0.05).max() < 0.002 and np.abs(T[:, 2, 3] - centre[2]).max() < 0.002
+
+
+def test_a_motion_rests_at_a_pose_where_no_motion_through_it_is_certified(panda, corner):
+    """A block that the first leg alone knows is in the way of the motion along both."""
+    seam, legs = corner
+    block = SceneObject("block", Box((0.02, 0.02, 0.02)), pose(seam[2][:3, 3]))
+    first = legs[0].problem
+    first = first.changed(scene=first.scene.with_objects(block))
+    motion = timed([legs[0]._replace(problem=first), legs[1]], TimingSettings(speed=0.5))
+    assert rests(legs, motion) == [1]
     middle = int(np.abs(panda.poses(motion.positions)[:, :3, 3] - seam[1][:3, 3]).sum(1).argmin())
     assert np.abs(motion.velocities[middle]).max() == 0.0
-    for part, line in (
-        (slice(middle + 1), Line(*seam[:2])),
-        (slice(middle, None), Line(*seam[1:])),
-    ):
-        assert away(panda, line, motion.positions[part])[0] <= 0.002
 
 
-def test_bounds_between_states_are_true(panda, seam):
-    rng, line = np.random.default_rng(0), AlongLine(panda, Line(*seam[1:]), 0.0, 0.0)
+@pytest.mark.parametrize("several", [False, True])
+def test_bounds_between_states_are_true(panda, seam, several):
+    lines = [Line(*ends) for ends in pairs([*seam, seam[0]])] if several else Line(*seam[1:])
+    rng, line = np.random.default_rng(0), AlongLine(panda, lines, 0.0, 0.0)
     for _ in range(20):
         ends = (
             START
@@ -107,6 +154,15 @@ def test_bounds_between_states_are_true(panda, seam):
         )
         F = np.abs(line.residual(np.linspace(*ends, 50))).max(axis=1)
         assert F.max() <= max(F[0], F[-1]) + line.bound_between(ends)[0] + 1e-12
+
+
+def test_several_lines_are_as_far_as_the_best_of_them(panda, seam):
+    lines = [Line(*ends) for ends in pairs([*seam, seam[0]])]
+    rng = np.random.default_rng(0)
+    q = START + rng.normal(scale=0.1, size=(50, 7))
+    each = [AlongLine(panda, line, 0.01, 0.05).residual(q).max(axis=1) for line in lines]
+    found = AlongLine(panda, lines, 0.01, 0.05).residual(q).max(axis=1)
+    np.testing.assert_allclose(found, np.min(each, axis=0), atol=1e-12)
 
 
 def test_a_line_that_cannot_be_followed_is_told_with_place_and_reason(

@@ -110,8 +110,8 @@ def test_a_whole_motion_that_is_too_fast_has_a_speed(plan, problem):
 
 def test_a_slower_speed_is_certified_where_the_arm_moves_at_the_start(panda):
     """Joint 1 moves towards its limit; slower, with the same velocity, it swings out further."""
-    v, found = 0.5 * np.eye(7)[0], []
-    for room in (0.012, 0.5):
+    v, found = 0.2 * np.eye(7)[0], []
+    for room in (0.0048, 0.5):
         q = np.array([panda.upper[0] - room, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785])
         positions = q + 0.8 * np.linspace(0.0, 1.0, 8)[:, None] * np.eye(7)[3]
         problem = PlanningProblem("free", panda, Scene("empty", ()), q, q[None])
@@ -164,3 +164,18 @@ def test_what_is_no_motion_is_refused(problem):
     path = np.zeros((2, 7))
     refused(r"motion .*give Motion\(joint_names, positions, times\)", judge, path, problem)
     refused("velocities, but no times", Motion, None, path, None, path)
+
+
+def test_normalised_joints_are_no_degrees(plan, problem):
+    """Joint 4 at 100 is outside its limits as degrees, too; LeRobot's values end at 100."""
+    shares = (plan.positions - problem.robot.lower) / (problem.robot.upper - problem.robot.lower)
+    for positions, told in (
+        (200.0 * shares - 100.0, "degrees, or LeRobot's normalised values of -100 to 100"),
+        (0.5 * np.degrees(plan.positions), "degrees, or LeRobot's normalised values"),
+    ):
+        normalised = Motion(plan.joint_names, positions, plan.times)
+        refused(f"{told}.* Give radians", judge, normalised, problem)
+    refused(told, PlanningProblem.from_dict, problem.to_dict() | {"start": [50.0] * 7})
+    away = np.array(plan.positions)
+    away[5, 3] += 20.0  # one joint far away is a fault, no unit
+    assert not judge(Motion(plan.joint_names, away), problem).certified

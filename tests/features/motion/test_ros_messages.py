@@ -35,7 +35,12 @@ PARTS = [
     {"joint_trajectory": message(STATES[1:], [0.0, 0.5])},
 ]
 OLD = json.loads(json.dumps(WHOLE).replace('"nanosec"', '"nsecs"').replace('"sec"', '"secs"'))
+FLOATS = message(STATES, [0.0, 1.5, 2.0])
+for point, time in zip(FLOATS["points"], (0, 1.5, 2.0), strict=True):
+    point["time_from_start"] = time
 MESSAGES = {
+    "numbers.json": FLOATS,
+    "numbers.yaml": {"trajectory": [{"joint_trajectory": FLOATS}]},
     "robot.json": ROBOT,
     "result.json": {"trajectory": ROBOT, "error_code": {"val": 1}},
     "display.json": {"model_id": "arm", "trajectory": PARTS, "trajectory_start": {}},
@@ -61,6 +66,8 @@ def test_every_form_of_a_motion_is_read_alike(tmp_path, name):
     assert motion.joint_names == tuple(NAMES) and motion.velocities is None
     np.testing.assert_array_equal(motion.positions, STATES)
     np.testing.assert_allclose(motion.times, [0.0, 1.5, 2.0], rtol=1e-15)
+    # messages have seconds and nanoseconds; other numbers may be milliseconds
+    assert motion.in_seconds == (name in MESSAGES and "numbers" not in name)
 
 
 BASE = {"joint_trajectory": WHOLE, "multi_dof_joint_trajectory": {"points": [{}]}}

@@ -205,12 +205,6 @@ WRONG = {
     "start_state.multi_dof_joint_state places ['base'], which is not judged": {
         "start_state": {"multi_dof_joint_state": {"joint_names": ["base"], "transforms": [{}]}}
     },
-    "start_state has joint 'torso', which panda lacks": {
-        "start_state": {
-            "is_diff": True,
-            "joint_state": {"name": ["panda_joint1", "torso"], "position": [0.0, 0.0]},
-        }
-    },
     "position 40 of panda_joint1 is outside its limits": {
         "path_constraints": {"joint_constraints": [{"joint_name": "panda_joint1", "position": 40}]}
     },
@@ -415,3 +409,15 @@ def test_motions_of_few_or_far_states_have_no_euler_angles_to_cut(judged, reques
     # cut finely, this motion would fill the memory
     far = np.concatenate([first, first + 1e12])
     assert not judged(ANYTHING, far).certified
+
+
+def test_joints_of_the_start_that_the_robot_lacks_are_left_out(problem, solution, judged, caplog):
+    """MoveIt warns and goes on; the wheels of a base moved no arm."""
+    states = solution.path.states
+    names = [*problem.robot.joint_names, "left_wheel", "right_wheel"]
+    state = {"name": names, "position": [*states[0].tolist(), 0.3, -2.1]}
+    asked = ANYTHING | {"start_state": {"joint_state": state}}
+    assert judged(asked, states).certified
+    assert caplog.text.count("left_wheel, right_wheel are left out: panda lacks them") == 1
+    state["position"][0] += 0.1
+    assert not judged(asked, states).certified

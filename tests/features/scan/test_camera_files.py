@@ -24,7 +24,26 @@ camera_matrix:
 distortion_model: plumb_bob
 distortion_coefficients: {rows: 1, cols: 5, data: [0, 0, 0e-5, 0, 0]}
 """
+OPENCV = """%YAML:1.0
+---
+calibration_time: "Tue Mar  3 10:00:00 2026"
+image_width: 640
+image_height: 480
+flags: 0
+camera_matrix: !!opencv-matrix
+   rows: 3
+   cols: 3
+   dt: d
+   data: [ 5.2500000000000000e+02, 0., 319.5, 0., 526., 239.5, 0., 0., 1. ]
+distortion_coefficients: !!opencv-matrix
+   rows: 5
+   cols: 1
+   dt: d
+   data: [ 0., 0., 0., 0., 0. ]
+avg_reprojection_error: 2.1e-01
+"""
 INTRINSICS = {
+    "opencv.yml": OPENCV,
     "plain.json": json.dumps(PLAIN),
     "tabs.json": json.dumps(PLAIN, indent="\t"),
     "plain.yaml": "\n".join(f"{key}: {value}" for key, value in PLAIN.items()),
@@ -71,6 +90,7 @@ P = [525.0, 0.0, 319.5, 0.0, 0.0, 526.0, 239.5, 0.0, 0.0, 0.0, 1.0, 0.0]
     ("field", "message"),
     [
         ({"dist": [0.1, 0.2]}, "unknown key of intrinsics with K 'dist'; valid choices: width"),
+        ({"fisheye_model": 1}, "it is a fisheye lens"),
         ({"fx": 500.0}, "unknown key of intrinsics with K 'fx'"),
         ({"depth_scale": 0.0001}, "depth_scale is 0.0001, which is not read: remove it, .*--scale"),
         ({"P": [400.0, *P[1:]]}, r"P is \[\[400.0, .*, but K is \[\[525.0, .* leave P out"),
@@ -95,6 +115,8 @@ T[:3, :3], T[:3, 3] = TURN.as_matrix(), (0.1, -0.5, 0.9)
 XYZW = TURN.as_quat().tolist()
 ROTATION = dict(zip("xyzw", XYZW, strict=True))
 EXTRINSICS = {
+    "opencv.yml": "%YAML:1.0\nT_world_camera: !!opencv-matrix\n   rows: 4\n   cols: 4\n   dt: d\n"
+    f"   data: {T.ravel().tolist()}\n",
     "matrix.json": json.dumps(T.tolist()),
     "named.yaml": json.dumps({"T_world_camera": T.tolist()}),
     "rounded.json": json.dumps(T.round(4).tolist()),
@@ -180,7 +202,7 @@ def test_bad_files_are_refused_by_field_in_one_line(row, tmp_path):
 
 @pytest.mark.parametrize(
     ("text", "message"),
-    [("[" * 20_000, "recursion|end"), ("# " + "x" * 70_000, "more than 65536 bytes")],
+    [("[" * 20_000, "nested too deeply|end"), ("# " + "x" * 70_000, "more than 65536 bytes")],
 )
 def test_files_too_deep_or_too_long_are_refused(text, message, tmp_path):
     (tmp_path / "bad.yaml").write_text(text)
@@ -189,3 +211,11 @@ def test_files_too_deep_or_too_long_are_refused(text, message, tmp_path):
 
 def test_another_suffix_is_refused(tmp_path):
     refused(r"suffix '\.xml'", read_intrinsics, tmp_path / "cam.xml")
+
+
+def test_angles_of_extrinsics_take_the_tag_of_their_unit(tmp_path):
+    path = tmp_path / "camera.yaml"
+    path.write_text("xyz: [0.5, 0.0, 1.2]\nrpy: [!degrees 180, 0, 0]\n")
+    np.testing.assert_allclose(read_extrinsics(path)[:3, :3], np.diag([1, -1, -1]), atol=1e-12)
+    path.write_text("xyz: [0.5, 0.0, 1.2]\nrpy: [!grad 200, 0, 0]\n")
+    refused("line 2, column 7: the tag !grad is not read", read_extrinsics, path)
