@@ -485,15 +485,16 @@ def taken_from(hint: Any) -> Any:
     return take
 
 
-def called_at_address(called: Entry, result: types.Type = types.int64) -> Any:
+def called_at_address(called: Entry, returns: type = int) -> Any:
     """Return a function of kernels that calls an entry without a copy of its machine code.
 
     Numba compiles a kernel again into every entry that calls it, directly or not. The returned
     function takes the `kernel_address` of the entry, which the caller must be given, and a tuple of
     the arguments.
 
-    result: numba's type of what the entry returns.
+    returns: type of what the entry returns, int or float.
     """
+    result = SCALAR_TYPES[returns]
 
     @intrinsic
     def call(typing_context, address, arguments):

@@ -135,9 +135,7 @@ def reach_free(
         if newton(kinematics, regions, q, tolerance, max_iterations, stop_on_stall, scratch) < 0:
             poses.verdict[i] = max(poses.verdict[i], UNREACHABLE_POSE)
             continue
-        if in_contact(
-            scratch.link_rotation, scratch.link_translation, robot, scene, margin, balls
-        ):
+        if in_contact(scratch.link_rotation, scratch.link_translation, robot, scene, margin, balls):
             poses.verdict[i] = COLLIDING_POSE
             continue
         poses.verdict[i] = REACHED_POSE

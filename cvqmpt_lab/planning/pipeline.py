@@ -135,11 +135,7 @@ def solve(
         run = searches[0].ended()
     else:
         require_race(method.name, stages)
-        run = first_of(
-            [one.ended for one in searches],
-            lambda one: one.attempts[-1].certified,
-            lambda: [one.query.space.stop() for one in searches],
-        )
+        run = first_of(searches)
     attempts, space, seed = run.attempts, run.query.space, run.query.seed
     wall = time.perf_counter() - called - goal_seconds - observe_seconds
     wall -= sum(attempt.certifying for attempt in attempts)
@@ -287,6 +283,15 @@ class _SearchRun:
             if self.query.deadline.spent() is not None or attempt.certified:
                 break
         return self
+
+    @property
+    def won(self) -> bool:
+        """Whether its last path is certified."""
+        return self.attempts[-1].certified
+
+    def stop(self) -> None:
+        """Ask it to end soon, from another thread."""
+        self.query.space.stop()
 
 
 def _certified(

@@ -4,9 +4,9 @@ Compiled code releases Python's lock, so that the runs use several cores. Their 
 depend on each other: the winner's seed alone gives the same path.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from typing import TypeVar
+from typing import Protocol, Self, TypeVar
 
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.search.birrt import BiRRT
@@ -14,7 +14,23 @@ from cvqmpt_lab.search.cell_trees import CellSearch
 from cvqmpt_lab.search.planner_interface import Stages
 
 MOST_CORES = 64
-Result = TypeVar("Result")
+
+
+class Run(Protocol):
+    """A run that can be stopped from another thread."""
+
+    def ended(self) -> Self:
+        """Run to the end; return itself."""
+
+    @property
+    def won(self) -> bool:
+        """Whether it found what ends the race."""
+
+    def stop(self) -> None:
+        """Ask it to end soon."""
+
+
+AnyRun = TypeVar("AnyRun", bound=Run)
 
 
 def require_race(name: str, stages: Stages) -> None:
@@ -25,23 +41,18 @@ def require_race(name: str, stages: Stages) -> None:
         )
 
 
-def first_of(
-    runs: Sequence[Callable[[], Result]], won: Callable[[Result], bool], stop: Callable[[], None]
-) -> Result:
-    """Return the result of the run that wins first; of the first run if none wins.
+def first_of(runs: Sequence[AnyRun]) -> AnyRun:
+    """Return the run that wins first; the first run if none wins.
 
-    Args:
-        runs: functions without arguments, which are called in threads of their own.
-        won: whether a result ends the race.
-        stop: asks all runs to end soon. It is called when one has won, and after an error or Ctrl-C
-            in any thread; the call returns when all runs have ended.
+    The call returns when all runs have ended, also after an error or Ctrl-C in any thread.
     """
     with ThreadPoolExecutor(len(runs)) as threads:
-        running = [threads.submit(run) for run in runs]
+        running = [threads.submit(run.ended) for run in runs]
         try:
             for ended in as_completed(running):
-                if won(ended.result()):
+                if ended.result().won:
                     return ended.result()
         finally:
-            stop()
-    return running[0].result()
+            for run in runs:
+                run.stop()
+    return runs[0]

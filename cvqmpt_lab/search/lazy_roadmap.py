@@ -3,7 +3,8 @@
 A lazy probabilistic roadmap (Bohlin and Kavraki 2000): A* assumes that every node and edge is free
 unless it is known to be blocked. The nodes of the path that A* returns are projected and checked,
 then its edges, coarsely. Those that fail are blocked, and A* runs again. The caller makes the fine
-check, blocks the edges that fail it, and keeps which edges passed. An edge from a to b that is not yet checked costs
+check, blocks the edges that fail it, and keeps which edges passed. An edge from a to b that is not
+yet checked costs
 
     (f(a) + f(b)) / 2 * |b - a| - w log P(free),    f(q) = 1 + penalty |F(q)|
 

@@ -7,8 +7,6 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from numba import types
-
 from cvqmpt_lab.base.jit import (
     call_address,
     called_at_address,
@@ -157,7 +155,7 @@ def advance_at(here: int, q: Annotated[np.ndarray, "n"], advance: float):
     return 0.0 if call_address(space.check) else CONTACT
 
 
-_advance = called_at_address(advance_at, types.float64)
+_advance = called_at_address(advance_at, float)
 
 
 @kernel(inline="source")
