@@ -128,7 +128,7 @@ def test_a_load_larger_than_the_robot_leaves_no_nodes_and_birrt_plans(slider_arm
     assert len(none.nodes) == 0
     start, goal = fresh(slider_arm).nodes[:2]
     problem = PlanningProblem("few", slider_arm, EMPTY, start, goal[None])
-    few = Method.simple("few", search=Portfolio(roadmap=none, name="few", first=0))
+    few = Method.simple("few", search=Portfolio(roadmap=none, name="few", first=0, straight=0))
     solution = solve(problem, few, Budget(seconds=2.0), seed=0)
     assert solution.solved and solution.plan.fallback == "birrt: 0 nodes are no roadmap"
 
