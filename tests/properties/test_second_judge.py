@@ -402,7 +402,7 @@ def test_certified_motions(name, trials, folder):
     judge_cases(name, trials, folder)
 
 
-@pytest.mark.promise(STANDING, "cases", ci=4, long=2000)
+@pytest.mark.promise(STANDING, "cases", ci=3, long=2000)
 def test_certified_motions_beside_standing_meshes(trials, folder):
     judge_cases("standing", trials, folder)
 
