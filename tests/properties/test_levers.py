@@ -153,7 +153,7 @@ def outside(region, limits, T):
 
 
 @pytest.mark.promise(
-    "what is tolerated of points, of the hand or of joints, each alone, keeps bounds through levers",
+    "what is tolerated of points, hand or joints, each alone, keeps bounds through levers",
     "cases",
     ci=10,
     long=2000,

@@ -40,7 +40,9 @@ MOTIONS, OBSTACLES = 5, 4  # tried for a case
 PLANNED, STRETCH = 20, 4  # of so many cases, one is so many states of a planned path
 BUDGET = Budget(iterations=300)  # to plan it
 PROMISE = "what is certified overlaps by 0.1 mm at most, by the files' triangles"
-STANDING = "standing meshes of the URDF: what is certified overlaps their triangles by at most 0.1 mm"
+STANDING = (
+    "standing meshes of the URDF: what is certified overlaps their triangles by at most 0.1 mm"
+)
 NOTHING = Scene("empty", ())
 ROOM = "room"  # link that stands
 JUDGED = 0.8  # share of cases in which there must be something to judge
