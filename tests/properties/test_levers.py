@@ -61,7 +61,7 @@ def random_pose(rng, far):
 def bounds_of(rng):
     """Half widths (6,) of a region between two hands, some of them 0 or free."""
     halves = np.repeat([rng.choice([0.0, 0.003, 0.008]), rng.choice([0.0, 0.005, 0.03, 0.2])], 3)
-    if rng.random() < 0.4:
+    if rng.random() < 0.6:
         halves[3 + rng.integers(3)] = np.pi
     return halves
 
@@ -69,12 +69,12 @@ def bounds_of(rng):
 def drawn_motion(rng):
     """Hand, region and states (m, 7) that begin in it; some leave it a little."""
     size, centre = rng.uniform(0.01, 0.1, 3), rng.uniform(-0.05, 0.05, 3)
-    lever = rng.choice([0.0, 0.05, 0.3])
+    lever = rng.choice([0.0, 0.1, 0.3, 0.3])
     T0_w, Tw_e = random_pose(rng, 0.5), random_pose(rng, lever)
     if rng.random() < 0.5:
         Tw_e[:3, :3] = np.eye(3)
     halves = bounds_of(rng)
-    reach = np.minimum(halves, 0.4) * rng.choice([-1.0, 0.0, 1.0], 6) * rng.uniform(0.4, 1.02)
+    reach = np.minimum(halves, 0.7) * rng.choice([-1.0, 0.0, 1.0], 6) * rng.uniform(0.4, 1.02)
     slide = np.linspace(0.0, rng.uniform(-0.1, 0.1), STATES)
     x = np.linspace(0.0, 1.0, STATES)[:, None] * reach
     hand = T0_w @ poses_in(x) @ Tw_e
@@ -92,7 +92,7 @@ def plate_at(rng, T_left_hand, size, centre):
     edges = rng.uniform(0.01, 0.3, 3)
     away = rng.standard_normal(3)
     away /= np.linalg.norm(away)
-    beside = (0.5 * np.linalg.norm([*size, *edges]) + rng.uniform(0.0, 0.03)) * rng.integers(2)
+    beside = (0.5 * np.linalg.norm([*size, *edges]) + rng.uniform(0.0, 0.03)) * (rng.random() < 0.3)
     middle = moved(T_left_hand, np.asarray(centre))
     return carried("plate", edges, middle + beside * away, "left", "right")
 
