@@ -49,9 +49,9 @@ def keep_needed_parts(root: ElementTree.Element) -> tuple[str, ...]:
         if element.tag not in ("link", "joint"):
             root.remove(element)
             continue
-        needed = ("inertial", "collision") if element.tag == "link" else PLACES
-        if element.tag == "joint" and element.get("type") != "fixed":
-            needed = (*PLACES, "axis", "limit")
+        needed: tuple[str, ...] = ("inertial", "collision")
+        if element.tag == "joint":
+            needed = PLACES if element.get("type") == "fixed" else (*PLACES, "axis", "limit")
         element[:] = [part for part in element if part.tag in needed]
     for link in root.findall("link"):
         for inertial in link.findall("inertial"):
