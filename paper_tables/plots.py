@@ -118,22 +118,32 @@ def profile(groups: Groups, kind: str) -> Figure:
 
 
 @matplotlib.rc_context(STYLE)
-def forest(claims: Sequence[JudgedClaim]) -> bytes:
-    """Return the first ratio of each claim with its interval and the paper's number, as png."""
+def forest(claims: Sequence[JudgedClaim], committed: Sequence[JudgedClaim] = ()) -> bytes:
+    """Return the first ratio of each claim with its interval and the paper's number, as png.
+
+    committed: the same claims judged by committed rows, whose ratios are added as squares.
+    """
     lines = [
-        (item.claim.title, first, first.effect.means)
+        (item.claim.title, first, first.shown)
         for item in claims
-        if (first := next(iter(item.comparisons), None)) and first.effect
+        if (first := next(iter(item.comparisons), None)) and first.effect and first.shown
     ]
+    known = {
+        item.claim.title: item.comparisons[0].shown
+        for item in committed
+        if item.comparisons and item.comparisons[0].effect
+    }
     figure = Figure(figsize=(WIDTH, 1.3 + 0.34 * len(lines)), layout="constrained")
     axes = figure.subplots()
-    for place, (_, first, ratio) in enumerate(lines):
+    for place, (title, first, ratio) in enumerate(lines):
         colour = WORD_COLOURS[first.word]
         ends = np.array([ratio.low, ratio.estimate, ratio.high], dtype=float)
         axes.plot(ends[[0, 2]], [place] * 2, color=colour, linewidth=3.0)
         axes.plot(ends[1], place, "o", color=colour)
         if first.paper is not None:
             axes.plot(first.paper, place, "D", color="black", markersize=6, fillstyle="none")
+        if other := known.get(title):
+            axes.plot(other.estimate, place, "s", color="black", markersize=5)
     names = [f"{title}\n{x.planner} / {x.baseline}" for title, x, _ in lines]
     axes.set_yticks(range(len(lines)), names, fontsize=8)
     axes.set_ylim(len(lines) - 0.4, -0.6)
@@ -143,8 +153,10 @@ def forest(claims: Sequence[JudgedClaim]) -> bytes:
     axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     used = dict.fromkeys(first.word for _, first, _ in lines)
     marks = [Line2D([], [], color=WORD_COLOURS[w], marker="o", label=w) for w in used]
-    style: Any = {"marker": "D", "fillstyle": "none", "linestyle": "none"}
-    marks.append(Line2D([], [], color="black", label="the paper's number", **style))
+    style: Any = {"color": "black", "linestyle": "none"}
+    marks.append(Line2D([], [], marker="D", fillstyle="none", label="the paper's number", **style))
+    if known:
+        marks.append(Line2D([], [], marker="s", label="committed rows", **style))
     figure.legend(handles=marks, loc="outside upper center", ncols=3, frameon=False)
     return figure_bytes(figure, "png", 140)
 

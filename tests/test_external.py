@@ -221,3 +221,72 @@ def test_the_command_plans_with_an_external_planner_and_keeps_json_clean(capfd):
     assert told["solved"] and told["counts"] is None
     run_here([*words, "their_planners:raising"], code=1)
     assert "planner error (RuntimeError: no luck today)" in capfd.readouterr().out
+
+
+COUNTED = """
+import numpy as np
+from my_geometry import touches
+
+def calling(problem, budget, seed):
+    checker, states = problem.collision_checker(), np.array([problem.start, problem.goals[0]])
+    for q in states:
+        problem.manifold.project(q + 0.4)
+    touches(checker, problem.start)
+    checker.in_collision_batch(states)
+    return states
+
+def reporting(problem, budget, seed):
+    return calling(problem, budget, seed), {"state_checks": np.int64(1000)}
+
+def failing(problem, budget, seed):
+    return None, {"projections": 7, "newton_iterations": 21}
+
+def wrong(problem, budget, seed):
+    return None, REPORT
+"""
+
+
+@pytest.fixture
+def counting(tmp_path, monkeypatch):
+    """Write the planners, with the report of `wrong`, and return what one of them gives."""
+
+    def solved(name, report="None"):
+        module = f"counting_{len(list(tmp_path.iterdir()))}"
+        text = COUNTED.replace("REPORT", report).replace("my_geometry", f"{module}_geometry")
+        (tmp_path / f"{module}.py").write_text(text)
+        touches = "touches = lambda checker, q: checker.in_collision(q)\n"
+        (tmp_path / f"{module}_geometry.py").write_text(touches)
+        monkeypatch.syspath_prepend(tmp_path)
+        return solve(single_goal_problem(5), f"{module}:{name}", ENOUGH, 0)
+
+    return solved
+
+
+def test_calls_of_ours_are_counted_and_a_report_replaces_them(counting):
+    called = counting("calling").plan
+    assert (called.counters.projections, called.counters.state_checks) == (2, 3)
+    assert called.counters.newton_iterations > 0 and called.as_is
+    told = counting("reporting").plan.counted
+    assert (told.projections, told.state_checks) == (2, 1000)
+    failed = counting("failing").plan
+    assert failed.status is PlanStatus.NO_PATH and failed.counters.newton_iterations == 21
+
+
+@pytest.mark.parametrize(
+    ("report", "told"),
+    [
+        ("{'checks': 3}", "it reported 'checks': valid counts are projections,"),
+        ("{'projections': -3}", "it reported projections -3: give a whole number, 0 or more"),
+        ("{'projections': 2.5}", "it reported projections 2.5: give a whole number"),
+        ("{'state_checks': float('nan')}", "it reported state_checks nan: give a whole number"),
+        ("{'state_checks': 'many'}", "it reported state_checks 'many': give a whole number"),
+    ],
+)
+def test_a_report_that_is_no_count_is_malformed(counting, report, told):
+    plan = counting("wrong", report).plan
+    assert plan.status is PlanStatus.MALFORMED_PATH and told in plan.detail
+
+
+def test_rows_have_the_counts_of_an_external_planner(counting, tmp_path):
+    report = counting("reporting").report("mine").text
+    assert re.search(r"counts +2 projections, \d+ Newton iterations, 1000 state checks\n", report)
