@@ -37,6 +37,7 @@ from cvqmpt_lab.paper_tables.claims import (
 )
 from cvqmpt_lab.paper_tables.measures import (
     PUBLISHED_PRICES,
+    REFERENCE,
     VALUES,
     WORK,
     Rows,
@@ -47,7 +48,7 @@ from cvqmpt_lab.paper_tables.quoted import Quoted, clear
 from cvqmpt_lab.paper_tables.rendering import published_of, table_of, title_of
 from cvqmpt_lab.paper_tables.rule import Word
 from cvqmpt_lab.paper_tables.statements import CLAIMS, PUBLISHED, READING
-from cvqmpt_lab.paper_tables.table_engine import by_planner
+from cvqmpt_lab.paper_tables.table_engine import by_planner, goalless_text
 from cvqmpt_lab.paper_tables.trainings import all_directories, training_lines
 from cvqmpt_lab.paper_tables.writers import BOLD, Lines, Ratio, estimate, markdown_table
 
@@ -329,13 +330,14 @@ def report_html(
         report(len(sections), len(found))
         sections.append({**section_of(evidence), "path": (paths or {}).get(evidence.folder.name)})
     report(len(found), len(found))
-    kept = ("name", "rows", "again", "path")
+    kept = ("name", "rows", "again", "path", "scatter")
     data = [{key: section[key] for key in kept} for section in sections]
     text = json.dumps({"columns": REPORT_COLUMNS, "sections": data}, separators=(",", ":"))
     return rendered(
         "report.html.j2",
         title=title,
-        verdicts=verdicts,
+        # rows of a user's own problems say nothing about the paper
+        alone=not verdicts and any(row.suite in SUITES for x in found.values() for row in x.rows),
         banner=banner(found),
         claims=own.get("lines") or (summary_lines(claims) if claims else []),
         own=own,
@@ -382,11 +384,27 @@ def section_of(evidence: Evidence) -> dict[str, Any]:
         # html colours of planners in the plots
         "colours": {name: plots.line_style(name)["color"] for name in groups},
         "rows": {planner: [_row(row) for row in own] for planner, own in groups.items()},
+        "note": goalless_text(rows),
+        "published": bool(published_of(suite)),
+        "scatter": scatter_choice(list(groups)),
         # the command that repeats a row
         "again": f"cvqmpt plan {problem} --planner PLANNER --seed SEED --picture plan.png",
         "provenance": _provenance(evidence),
         "pictures": _pictures(evidence.folder),
     }
+
+
+def scatter_choice(planners: Sequence[str]) -> list[str]:
+    """Return the two planners, A and B, that a scatter plot compares first; [] if there is one.
+
+    A is a user's planner if there is one, B the reference of ratios.
+    """
+    from cvqmpt_lab.paper_tables.plots import is_own
+
+    first = [name for name in planners if is_own(name)] + [x for x in planners if x != REFERENCE]
+    others = [name for name in (REFERENCE, *planners) if name in planners]
+    pairs = [(a, b) for a in first for b in others if a != b]
+    return list(pairs[0]) if pairs else []
 
 
 def _plots(groups: Mapping[str, Rows]) -> dict[str, dict[str, str]]:

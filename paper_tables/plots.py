@@ -27,6 +27,7 @@ from cvqmpt_lab.paper_tables.measures import (
 )
 from cvqmpt_lab.paper_tables.rule import Word
 from cvqmpt_lab.planning.by_name import declared
+from cvqmpt_lab.vqmpt.sampler_choice import PREFIX
 
 Groups = Mapping[str, Sequence[ResultRow]]  # rows by planner
 STYLE: Any = {
@@ -55,14 +56,23 @@ LEGEND_LINE = 0.18  # [inches] of height a planner in a legend
 def line_style(name: str) -> dict[str, Any]:
     """Arguments of matplotlib's `plot` for a planner, or for a variant of it: "birrt improved".
 
-    Variants have the planner's colour and dashes; a planner that is not declared has dots. Colours
-    that are not declared follow from the name.
+    Variants have the planner's colour and dashes, products of a learned sampler have dots, and
+    planners of users are thick. Colours that are not declared follow from the name.
     """
     planner, *variant = name.split()
     known = declared().get(planner)
     colour = known.colour if known and known.colour else _colour(planner)
+    if is_own(name):
+        return {"color": colour, "linestyle": "-", "linewidth": 3.2}
     dash = ":" if known is None else "--" if variant else "-"
     return {"color": colour, "linestyle": dash, "linewidth": 2.6 if planner == OURS else 1.4}
+
+
+def is_own(name: str) -> bool:
+    """Return whether a planner is a user's: the toolkit does not have it."""
+    planner = name.split()[0]
+    known = declared() | declared("control", "unshipped")
+    return planner not in known and not planner.startswith(PREFIX)
 
 
 def _colour(name: str) -> str:
@@ -108,8 +118,8 @@ def profile(groups: Groups, kind: str) -> Figure:
         factors = sorted(x / best.get(key, 1.0) for key, x in values.items())
         shares = 100.0 * np.arange(1, len(factors) + 1) / len(groups[name])
         style = line_style(name)
-        if name.split()[0] not in declared():
-            style = {"color": matplotlib.colormaps["tab10"](place % 10), "linewidth": 3.2}
+        if is_own(name):
+            style["color"] = matplotlib.colormaps["tab10"](place % 10)
         axes.step(factors, shares, where="post", label=name, **style)
     label = f"{kind} / smallest {kind} of all planners"
     _finish(axes, "time, everything counted [s]" if kind == "solved" else label, "solved [%]")
