@@ -34,7 +34,7 @@ class Word(StrEnum):
     OPEN = "inconclusive"
     STATISTIC = "depends on the statistic"
     HARDWARE = "depends on hardware"
-    NO_ROWS = "no rows yet"
+    NO_ROWS = "not run"
     UNTESTABLE = "not testable"
 
 
