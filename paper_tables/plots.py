@@ -152,7 +152,8 @@ def forest(claims: Sequence[JudgedClaim], committed: Sequence[JudgedClaim] = ())
         axes.plot(ends[1], place, "o", color=colour)
         if first.paper is not None:
             axes.plot(first.paper, place, "D", color="black", markersize=6, fillstyle="none")
-        if other := known.get(title):
+        other = known.get(title)
+        if other and other.estimate is not None:
             axes.plot(other.estimate, place, "s", color="black", markersize=5)
     names = [f"{title}\n{x.planner} / {x.baseline}" for title, x, _ in lines]
     axes.set_yticks(range(len(lines)), names, fontsize=8)
