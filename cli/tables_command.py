@@ -86,7 +86,9 @@ def write_report(directory: Path, out: Path | None = None) -> None:
     found = pages.evidence_of(directory)
     alone = (directory / PROVENANCE_FILE).is_file()
     titled = {} if directory.resolve() == RESULTS else {"title": directory.resolve().name}
-    committed = None if alone or directory.resolve() == RESULTS else judged_committed()
+    judging = not alone and any({*found} & {*claim.suites} for claim in statements.CLAIMS)
+    own = judging and directory.resolve() != RESULTS
+    committed = judged_committed() if own else None
     text = pages.report_html(
         found,
         ProgressBar("report"),
