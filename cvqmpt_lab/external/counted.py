@@ -57,19 +57,23 @@ def counted() -> Iterator[Work]:
         work.state_checks += len(found)
         return found
 
-    patched = (
-        (RegionConstraint, "project", project),
-        (CollisionChecker, "in_collision", check),
-        (CollisionChecker, "in_collision_batch", check_batch),
-    )
-    originals = [getattr(owner, name) for owner, name, _ in patched]
-    for (owner, name, count), original in zip(patched, originals, strict=True):
-        setattr(owner, name, _from_outside(original, count))
-    try:
+    with (
+        _replaced(RegionConstraint, "project", project),
+        _replaced(CollisionChecker, "in_collision", check),
+        _replaced(CollisionChecker, "in_collision_batch", check_batch),
+    ):
         yield work
+
+
+@contextmanager
+def _replaced(owner: type, name: str, count: Callable[..., Any]) -> Iterator[None]:
+    """Replace a method of a class by one that counts calls from outside this package."""
+    original = getattr(owner, name)
+    setattr(owner, name, _from_outside(original, count))
+    try:
+        yield
     finally:
-        for (owner, name, _), original in zip(patched, originals, strict=True):
-            setattr(owner, name, original)
+        setattr(owner, name, original)
 
 
 def _from_outside(method: Callable[..., Any], count: Callable[..., Any]) -> Callable[..., Any]:
