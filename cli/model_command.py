@@ -29,8 +29,10 @@ from cvqmpt_lab.cli.options import (
     refuse_given,
 )
 from cvqmpt_lab.vqmpt.weights import (
+    CONFIG_FILE,
     MPNET,
     SHIPPED,
+    TRAINED_FOLDER,
     TRANSFORMER,
     read_description,
     read_model,
@@ -47,8 +49,11 @@ def model(args: argparse.Namespace) -> None:
     if args.action == "import":
         refuse_given(args, ["model"], "is for info; give --out for the imported model")
         for name in ("dictionary_dir", "ar_dir", "out"):
-            if getattr(args, name) is None:
+            folder = getattr(args, name)
+            if folder is None:
                 raise InvalidInputError(f"import: give --{name.replace('_', '-')} DIR")
+            if name != "out":
+                _refuse_own_weights(folder)
         if args.out.exists() and (not args.out.is_dir() or any(args.out.iterdir())):
             raise InvalidInputError(f"{args.out} exists and is not empty; choose another --out")
         require_installed("torch", "cvqmpt model import", "train")
@@ -61,6 +66,16 @@ def model(args: argparse.Namespace) -> None:
         save_checkpoint(args.out, published)
     found = _info(resolve_model(args.out if args.action == "import" else args.model))
     print(json.dumps(found, indent=2) if args.json else "\n".join(_summary(found)))
+
+
+def _refuse_own_weights(folder: Path) -> None:
+    """Refuse a folder that `cvqmpt train` wrote: its weights are used as they are."""
+    for weights in (folder, folder / TRAINED_FOLDER):
+        if (weights / CONFIG_FILE).is_file():
+            raise InvalidInputError(
+                f"{weights} has weights of this toolkit, which need no import; they are described "
+                f"by: cvqmpt model info --model {weights}"
+            )
 
 
 def _info(folder: Path) -> dict[str, Any]:

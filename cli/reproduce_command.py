@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from cvqmpt_lab.base.errors import InvalidInputError, require_choice
-from cvqmpt_lab.base.files import write_bytes, write_text
+from cvqmpt_lab.base.files import write_bytes
 from cvqmpt_lab.benchmarks.declarations import SUITES
 from cvqmpt_lab.benchmarks.results.provenance import PROVENANCE_FILE
 from cvqmpt_lab.benchmarks.results.row import RUNS_FILE, read_rows
@@ -35,12 +35,7 @@ from cvqmpt_lab.cli.options import (
 )
 from cvqmpt_lab.cli.problem_arguments import budget, optimize_budget, planner_list
 from cvqmpt_lab.cli.problem_options import BUDGET, CODE, optimize_option
-from cvqmpt_lab.cli.tables_command import (
-    judged_below,
-    show_tables,
-    verdict_lines,
-    write_report,
-)
+from cvqmpt_lab.cli.tables_command import show_tables, write_claims, write_report
 from cvqmpt_lab.experiments.experiment import PROFILES, Experiment, parts_of, planners_of
 from cvqmpt_lab.experiments.figures.code_update import UpdateSettings
 from cvqmpt_lab.experiments.figures.paper import FIGURES, reproduce_figure, summary
@@ -48,7 +43,6 @@ from cvqmpt_lab.experiments.run import default_jobs, executor_for, run_experimen
 from cvqmpt_lab.features.tasks.task import Task
 from cvqmpt_lab.paper_tables.committed import RESULTS
 from cvqmpt_lab.paper_tables.measures import grouped
-from cvqmpt_lab.paper_tables.pages import page_text
 from cvqmpt_lab.paper_tables.rendering import render_directory
 from cvqmpt_lab.paper_tables.table_engine import by_planner
 from cvqmpt_lab.planning.planners import PLANNERS
@@ -135,7 +129,7 @@ def duration_line(experiment: Experiment, jobs: int) -> str:
 class OverallProgress:
     """Progress bars of consecutive experiments; their notes estimate the time left for all.
 
-    A run of a task counts as 20 runs of problems: with --profile small they took 7 s and 0.3 s.
+    A run of a task counts as 20 runs of problems: with --profile small they take 7 s and 0.3 s.
     """
 
     def __init__(self, experiments: Iterable[Experiment]) -> None:
@@ -191,11 +185,7 @@ def _reproduce_all(args: argparse.Namespace) -> None:
         log(f"{figure}: {count} problems of a figure take less than a minute")
         command = ["cvqmpt", "figure", figure, "--problems", str(count), "--out", str(folder)]
         reproduce_figure(figure, folder, command, range(count))
-    page = out / "claims.md"
-    found, judged = judged_below(out)
-    write_text(page, page_text(found, judged, out))
-    print("\n".join(verdict_lines(found, judged, with_committed=True)))
-    print(f"every claim, its numbers and commands: {page}")
+    write_claims(out)
     write_report(out)
 
 
@@ -209,7 +199,8 @@ OPTIONS: Options = {
     **CODE,
     "--profile": option(
         f"amounts of {ALL}, on two cores: full (three hours), paper (Tables I and II with the "
-        "paper's planners, 6 minutes) or small (1 to 3 minutes) (full)",
+        "paper's planners, 6 minutes) or small (five problems of each suite that judges the paper, "
+        "3 minutes) (full)",
     ),
     "--problems": option(
         "only the first N problems or tasks (all)", type=positive_int, metavar="N"

@@ -1,8 +1,10 @@
 """`cvqmpt table`, `report`, `compare`, `claims` and `check-tables`: evaluate the rows of runs."""
 
 import argparse
+import textwrap
 import time
 from collections.abc import Mapping, Sequence
+from functools import cache
 from pathlib import Path
 
 from cvqmpt_lab.base.errors import InvalidInputError, in_checkout
@@ -26,13 +28,15 @@ from cvqmpt_lab.cli.problem_arguments import planner_list
 from cvqmpt_lab.cli.problem_options import CODE
 from cvqmpt_lab.experiments import regression
 from cvqmpt_lab.experiments.regression import EXPECTED
-from cvqmpt_lab.paper_tables import pages
+from cvqmpt_lab.paper_tables import pages, statements
+from cvqmpt_lab.paper_tables.beside import Judged, beside_lines, explained, repeated
 from cvqmpt_lab.paper_tables.claims import (
     Evidence,
     JudgedClaim,
     banner,
     evidence_below,
     judged_claims,
+    read_evidence,
 )
 from cvqmpt_lab.paper_tables.committed import (
     RESULTS,
@@ -54,7 +58,7 @@ from cvqmpt_lab.paper_tables.compare_runs import (
     planners_of_one,
 )
 from cvqmpt_lab.paper_tables.rendering import render_directory
-from cvqmpt_lab.paper_tables.writers import text_lines
+from cvqmpt_lab.paper_tables.writers import PAGE_WIDTH, text_lines
 
 
 def show_tables(directory: Path, baseline: str | None = None) -> None:
@@ -82,8 +86,16 @@ def write_report(directory: Path, out: Path | None = None) -> None:
     found = pages.evidence_of(directory)
     alone = (directory / PROVENANCE_FILE).is_file()
     titled = {} if directory.resolve() == RESULTS else {"title": directory.resolve().name}
+    judging = not alone and any({*found} & {*claim.suites} for claim in statements.CLAIMS)
+    own = judging and directory.resolve() != RESULTS
+    committed = judged_committed() if own else None
     text = pages.report_html(
-        found, ProgressBar("report"), first_path(found), verdicts=not alone, **titled
+        found,
+        ProgressBar("report"),
+        first_path(found),
+        verdicts=not alone,
+        committed=committed,
+        **titled,
     )
     write_text(out, text)
     print(f"report, for a browser: {out}")
@@ -138,25 +150,41 @@ def compare(args: argparse.Namespace) -> int:
 
 def claims(args: argparse.Namespace) -> None:
     """Judge every claim of the paper, print the verdicts, and write the page if asked to."""
-    if args.results is None and args.write:
-        require_checkout("cvqmpt claims --write", "name a folder of results directories")
-    found, judged = judged_below(args.results or RESULTS)
-    print("\n".join(verdict_lines(found, judged)))
-    page = pages.PAGE if args.results is None else args.results / "claims.md"
-    if not args.write:
-        if args.results or in_checkout():
-            print(f"nothing written; --write writes {page}")
+    if args.results is not None and args.results.resolve() != RESULTS:
+        if args.write:
+            write_claims(args.results)
+            return
+        found, judged = judged_below(args.results)
+        print("\n".join(own_lines(found, judged)))
+        print(f"nothing written; --write writes {args.results / pages.OWN_PAGE}")
         return
-    texts, pictures = {}, {}
-    if args.results is None:
-        texts, pictures = committed_pages(found, judged), committed_pictures(found, judged)
-    else:
-        texts[page] = pages.page_text(found, judged, args.results)
+    if args.write:
+        require_checkout("cvqmpt claims --write", "name a folder of results directories")
+    found, judged = judged_below(RESULTS)
+    print("\n".join(text_lines(pages.summary_lines(judged))))
+    if not args.write:
+        if in_checkout():
+            print(f"nothing written; --write writes {pages.PAGE}")
+        return
+    texts, pictures = committed_pages(found, judged), committed_pictures(found, judged)
     for path, text in texts.items():
         write_text(path, text)
     for path, picture in pictures.items():
         write_bytes(path, picture)
     print("\n".join(f"written {path}" for path in (*texts, *pictures)))
+
+
+def write_claims(results: Path) -> None:
+    """Print own rows beside the paper and the committed rows; write the page and its picture."""
+    found, judged = judged_below(results)
+    committed = judged_committed()
+    print("\n".join(own_lines(found, judged)))
+    page, picture = results / pages.OWN_PAGE, results / pages.OWN_PICTURE
+    drawn = pages.forest_of(judged, committed)
+    if drawn:
+        write_bytes(picture, drawn)
+    write_text(page, pages.page_text(found, judged, results, committed))
+    print(f"every claim, its numbers and commands: {page}")
 
 
 def judged_below(results: Path) -> tuple[dict[str, Evidence], list[JudgedClaim]]:
@@ -169,21 +197,25 @@ def judged_below(results: Path) -> tuple[dict[str, Evidence], list[JudgedClaim]]
     return found, judged_claims(found)
 
 
-def verdict_lines(
-    found: Mapping[str, Evidence], judged: Sequence[JudgedClaim], with_committed: bool = False
-) -> list[str]:
-    """Return a line for each claim.
+def own_lines(found: Mapping[str, Evidence], judged: Sequence[JudgedClaim]) -> list[str]:
+    """Return a line for each claim: the paper's number, that of own rows and the committed one.
 
     Args:
-        found: results directories by name.
+        found: own results directories by name.
         judged: claims judged by them.
-        with_committed: whether to add the verdicts of the committed rows.
     """
-    shown = pages.summary_lines(judged)
-    if with_committed:
-        shown = pages.beside_lines(judged, judged_below(RESULTS)[1])
-    lines = [banner(found), *text_lines(shown)]
-    return lines if lines[0] else lines[1:]
+    committed = judged_committed()
+    lines = text_lines(beside_lines(judged, committed.claims))
+    told = (banner(found), explained(judged), repeated(found, committed.found))
+    return [*lines, *(part for text in told for part in textwrap.wrap(text, PAGE_WIDTH))]
+
+
+@cache
+def judged_committed() -> Judged:
+    """Return the committed directories by which claims are judged, and these claims."""
+    names = dict.fromkeys(name for claim in statements.CLAIMS for name in claim.suites)
+    found = {name: read_evidence(RESULTS / name) for name in names}
+    return Judged(found, judged_claims(found))
 
 
 def check_tables(args: argparse.Namespace) -> int:

@@ -138,7 +138,7 @@ def failed_rows(run: Run, item: SuiteItem, reason: FailReason, detail: str) -> l
 def result_row(run: Run, solution: Solution, goal_seconds: float) -> ResultRow:
     """Return the row of a solution; undefined values are None."""
     plan, shorter, certificate = solution.plan, solution.simplified, solution.certificate
-    work = None if plan.as_is else plan.counters
+    work = plan.counted
     sampler: SamplerChoice | None = run.method.sampler
     timings, search, more = plan.timings, plan.search_seconds, solution.improvement
     simplified = (shorter.seconds if shorter else 0.0) + (more.seconds if more else 0.0)
@@ -160,8 +160,8 @@ def result_row(run: Run, solution: Solution, goal_seconds: float) -> ResultRow:
         n_projections=work and work.projections,
         n_newton_iterations=work and work.newton_iterations,
         n_state_checks=work and work.state_checks,
-        n_iterations=work and work.iterations,
-        n_clearances=work and work.clearances,
+        n_iterations=None if plan.as_is else plan.counters.iterations,
+        n_clearances=None if plan.as_is else plan.counters.clearances,
         n_extensions=(work and work.extensions) or None,
         n_draw_projections=(work and work.draw_projections) or None,
         n_draw_newton_iterations=(

@@ -8,7 +8,7 @@ from html import escape
 import numpy as np
 
 from cvqmpt_lab.paper_tables.measures import VALUES, Value
-from cvqmpt_lab.paper_tables.plots import Groups, line_style
+from cvqmpt_lab.paper_tables.plots import Groups, is_own, line_style
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ def solved_within(groups: Groups, most_points: int = 60) -> str:
         np.concatenate(list(known.values())).tolist(), True, "time, everything counted [s]", 34.0
     )
     lines = []
-    for name, times in known.items():
+    for name, times in sorted(known.items(), key=lambda item: is_own(item[0])):
         kept = np.unique(np.linspace(0, len(times) - 1, min(len(times), most_points)).astype(int))
         share = 100.0 / len(groups[name])
         steps = [f"H{axis.at(times[k])}V{_level(share * (k + 1))}" for k in kept]

@@ -95,6 +95,8 @@ class Comparison:
     word: Word
     effect: Effect | None = None  # of ratios, at the published prices and without networks
     gain: Interval | None = None  # of shares
+    # the ratio or the difference of shares, where there are too few problems for a word
+    few: Interval | None = None
     words: Mapping[str, Word] = field(default_factory=dict)  # by the time of networks
     pybullet: tuple[Effect, Word] | None = None  # at the prices of PyBullet's kinematics
     needed: int | None = None  # problems that would decide an inconclusive comparison
@@ -104,11 +106,24 @@ class Comparison:
     def cells(self) -> list[str]:
         """The paper's number, both statistics and the word."""
         if self.gain is not None:
-            paper = "–" if self.paper is None else _points(Interval(self.paper, None, None, 0))
-            return [paper, _points(self.gain), "–", str(self.word)]
+            paper = "–" if self.paper is None else points(Interval(self.paper, None, None, 0))
+            return [paper, points(self.few or self.gain), "–", str(self.word)]
         paper = "–" if self.paper is None else f"{self.paper:.2f}"
-        both = ("–", "–") if self.effect is None else map(estimate, self.effect)
-        return [paper, *both, str(self.word)]
+        means, geometric = ("–", "–") if self.effect is None else map(estimate, self.effect)
+        return [paper, estimate(self.few) if self.few else means, geometric, str(self.word)]
+
+    @property
+    def number(self) -> str:
+        """The number here without its interval, ratios with two decimals."""
+        if self.shown is None or self.shown.estimate is None:
+            return "–"
+        middle = self.shown.estimate
+        return points(Interval(middle, None, None, 0)) if self.gain else f"{middle:.2f}"
+
+    @property
+    def shown(self) -> Interval | None:
+        """The ratio or the difference of shares that pages show; None: nothing can be compared."""
+        return self.few or self.gain or (self.effect and self.effect.means)
 
     @property
     def to_decide(self) -> str:
@@ -227,10 +242,12 @@ def _compared_shares(
     found = _unjudged(claim, planner, baseline, parts)
     gain = rule.share_gain(*solved, level)
     word = rule.share_word(gain, found.paper, claim.similar)
-    needed = None
+    needed, few = None, None
+    if gain.low is None:
+        few = rule.few_gain(*solved)
     if word is Word.OPEN and gain.n >= rule.FEWEST_PROBLEMS:
         needed = max(gain.n + 1, rule.shares_needed(*solved, level))
-    return replace(found, count=len(runs), word=word, gain=gain, needed=needed)
+    return replace(found, count=len(runs), word=word, gain=gain, few=few, needed=needed)
 
 
 def _compared(
@@ -257,6 +274,7 @@ def _compared(
     if not values:
         return found
     word, words, pybullet, needed = rule.word_of(effect(main), reached), {}, None, None
+    few = rule.few_ratio(*_sides(values)) if effect(main).means.low is None else None
     if timed:
         words = {name: rule.word_of(effect(cost), reached) for name, cost in COSTS.items()}
         word = rule.word_on_all_hardware(words)
@@ -272,6 +290,7 @@ def _compared(
         count=len(values),
         word=word,
         effect=effect(main),
+        few=few,
         words=words,
         pybullet=pybullet,
         needed=needed,
@@ -309,11 +328,13 @@ def _failures(parts: Sequence[Both]) -> tuple[int, int]:
     return sum(not _solved(run[1]) for run in runs), sum(not _solved(run[2]) for run in runs)
 
 
-def _points(gain: Interval) -> str:
-    """Return a difference of shares as percentage points with its interval."""
+def points(gain: Interval) -> str:
+    """Return a difference of shares as percentage points with its interval, within ±100."""
 
     def shown(share: float) -> str:
-        return f"{round(100.0 * share):+d}".replace("-", "−").replace("+0", "0")
+        return f"{round(100.0 * min(max(share, -1.0), 1.0)):+d}".replace("-", "−").replace(
+            "+0", "0"
+        )
 
     if gain.estimate is None:
         return "–"

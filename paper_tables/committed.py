@@ -151,10 +151,14 @@ def committed_pages(
     texts = {pages.PAGE: pages.page_text(found, claims, pages.PAGE.parent)}
     if in_checkout():
         quoted = Quoted(found)
-        texts[DOCS / "results.md"] = pages.rendered("results.md.j2", quoted=quoted)
+        texts[DOCS / "results.md"] = pages.rendered(
+            "results.md.j2",
+            quoted=quoted,
+            answer=pages.answer_text(found, claims, "", "../paper_tables/README.md", more=False),
+        )
         parts = {
             README: {
-                "answer": pages.rendered("answer.md.j2", quoted=quoted),
+                "answer": pages.answer_text(found, claims, "docs/", "paper_tables/README.md"),
                 "planners": pages.rendered("readme.md.j2", quoted=quoted),
             },
             DOCS / "method.md": {"planners": planner_table()},

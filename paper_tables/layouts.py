@@ -132,6 +132,13 @@ FIRST_COLUMNS = {  # columns of the first table by title
     "work": "work_median",
     "length [rad]": "path_length_median",
 }
+PAPER_COST_NOTE = (
+    f"At the paper's cost: {1e3 * PUBLISHED_PRICES.state_check:g} ms per state check (PyBullet, "
+    f"see bench paper-check), {1e3 * PUBLISHED_PRICES.projection:g} ms per projection and "
+    f"{1e3 * PUBLISHED_PRICES.newton_step:g} ms per Newton step (the published constraint in "
+    "Python, see docs/judgement.md); networks as measured here; goals and simplification are left "
+    "out. Medians count failures as infinite; ratios are as above."
+)
 METHOD_NOTES = (
     "Ours: estimate [95 % interval]; in round brackets the range of all runs, if these are too few "
     "for an interval.",
@@ -155,11 +162,7 @@ METHOD_NOTES = (
     "interval.",
     "By fallback: runs whose path was found by another method than the named planner; they count "
     "as runs of the named planner.",
-    f"At the paper's cost: {1e3 * PUBLISHED_PRICES.state_check:g} ms per state check (PyBullet, "
-    f"see bench paper-check), {1e3 * PUBLISHED_PRICES.projection:g} ms per projection and "
-    f"{1e3 * PUBLISHED_PRICES.newton_step:g} ms per Newton step (the published constraint in "
-    "Python, see docs/judgement.md); networks as measured here; goals and simplification are left "
-    "out. Medians count failures as infinite; ratios are as above.",
+    PAPER_COST_NOTE,
     "Easy and hard: a run is hard if its problem is in the top third by the work of "
     f"{REFERENCE} with uniform samples (median over its other seeds). Ratios are geometric means "
     "over problems that both planners solved, with bootstrap intervals; time includes goal inverse "
@@ -198,11 +201,18 @@ SENSED_NOTES = (
 
 
 def place_table(
-    rows: Iterable[ResultRow], published: Sequence[PublishedValue] = (), sensed: bool = False
+    rows: Iterable[ResultRow],
+    published: Sequence[PublishedValue] = (),
+    sensed: bool = False,
+    own: bool = False,
 ) -> SuiteTable:
     """Return the paper's Table I, effort, comparisons, time curve, fallbacks, failures and notes.
 
-    sensed: the scenes were scanned; columns of map and true scene come first.
+    Args:
+        rows: rows of one suite.
+        published: the paper's numbers; without any, tables have no column for them.
+        sensed: the scenes were scanned; columns of map and true scene come first.
+        own: the problems are a user's: nothing is said about the paper.
     """
     runs = table.suite_runs(rows, published)
     by_rollouts = partial(_detail_begins, BY_ROLLOUTS)
@@ -219,20 +229,22 @@ def place_table(
     slowest = max(row.t_total_s or 0.0 for row in runs.rows)
     times = list(CURVE_COLUMNS)[: sum(time < slowest for time in CURVE_TIMES) + 1]
     suite, problems = runs.rows[0].suite, len({row.problem for row in runs.rows})
-    footnotes = [*METHOD_NOTES, *_footnotes(runs)]
+    method = [note for note in METHOD_NOTES if not (own and note is PAPER_COST_NOTE)]
+    footnotes = [*method, *_footnotes(runs)]
     first = _first_lines(
         found, {**FIRST_COLUMNS, "true [%]": "free_in_truth"} if sensed else FIRST_COLUMNS
     )
-    papers = {
-        f"{PLACE_COLUMNS[next(iter(ours.values()))].label}, the paper's and ours": (
-            _paper_lines(found, metric, ours)
-        )
-        for metric, ours in PLACE_HEADLINES.items()
-    }
+    headlines = {}
+    for metric, ours in PLACE_HEADLINES.items():
+        label = PLACE_COLUMNS[next(iter(ours.values()))].label
+        if any(item.published for item in found):
+            headlines[f"{label}, the paper's and ours"] = _paper_lines(found, metric, ours)
+        else:
+            headlines[label] = _own_lines(found, ours)
     sections: Sections = {
         f"{problems} problems": first,
         "In the map and in truth": table.column_lines(found, SENSED_COLUMNS) if sensed else [],
-        **papers,
+        **headlines,
         "Effort (medians)": table.column_lines(found, EFFORT_COLUMNS),
         "Vertices as OMPL counts them, and projections of samples": (
             table.column_lines(found, GROWN_COLUMNS) if grown else []
@@ -240,7 +252,9 @@ def place_table(
         "Solved by rollouts alone, without trees between their states": (
             table.column_lines(rollouts, ("accuracy", *ROLLOUT_COLUMNS)) if rollouts else []
         ),
-        "At the paper's cost of work": table.column_lines(found, PAPER_COST_COLUMNS),
+        "At the paper's cost of work": (
+            [] if own else table.column_lines(found, PAPER_COST_COLUMNS)
+        ),
         f"Against {REFERENCE}": _split_lines(found, runs) if runs.split["easy"] else [],
         "Solved within a time, % of runs": table.column_lines(found, times),
         **table.counted(found),
@@ -281,6 +295,16 @@ def _paper_lines(found: Sequence[Entry], metric: str, ours: Mapping[str, str]) -
     paper = [[item.title, item.paper_cell(metric)] for item in found]
     lines = [[*named, *cells] for named, *cells in zip(paper, *own, strict=True)]
     return [["planner", "paper", *ours], *lines]
+
+
+def _own_lines(found: Sequence[Entry], ours: Mapping[str, str]) -> Lines:
+    """Return lines of our medians and means, without the paper's number."""
+    unit = found[0].columns[next(iter(ours.values()))].unit
+    shown = "" if unit == "1" else f" [{unit}]"
+    heads = [f"{title.removeprefix('ours, ').replace('ours', 'solved')}{shown}" for title in ours]
+    cells = [table.cells_of(found, name) for name in ours.values()]
+    planners = [item.planner for item in found]
+    return [["planner", *heads], *map(list, zip(planners, *cells, strict=True))]
 
 
 def _split_lines(found: Sequence[Entry], runs: SuiteRuns) -> Lines:

@@ -163,9 +163,8 @@ TASK_NOTES = (
 )
 
 ABSENT = (
-    f"{CBIRRT} has no rows here. With a limit of 2 s per search, as in --profile small, it solved "
-    "neither of the first two tasks: each took half a minute, with ten attempts to reach the can. "
-    "That profile therefore leaves it out."
+    f"{CBIRRT} has no rows here. With a limit of 2 s per search it solved neither of the first two "
+    "tasks: each took half a minute, with ten attempts to reach the can."
 )
 
 

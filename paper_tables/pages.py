@@ -20,6 +20,8 @@ from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.benchmarks.declarations import SUITES
 from cvqmpt_lab.benchmarks.results.provenance import PROVENANCE_FILE, digests_in, sessions
 from cvqmpt_lab.benchmarks.results.row import ResultRow
+from cvqmpt_lab.paper_tables.answer import answer_parts, whole_word
+from cvqmpt_lab.paper_tables.beside import Judged, beside_lines, explained, repeated
 from cvqmpt_lab.paper_tables.claims import (
     Comparison,
     Evidence,
@@ -35,6 +37,7 @@ from cvqmpt_lab.paper_tables.claims import (
 )
 from cvqmpt_lab.paper_tables.measures import (
     PUBLISHED_PRICES,
+    REFERENCE,
     VALUES,
     WORK,
     Rows,
@@ -45,11 +48,12 @@ from cvqmpt_lab.paper_tables.quoted import Quoted, clear
 from cvqmpt_lab.paper_tables.rendering import published_of, table_of, title_of
 from cvqmpt_lab.paper_tables.rule import Word
 from cvqmpt_lab.paper_tables.statements import CLAIMS, PUBLISHED, READING
-from cvqmpt_lab.paper_tables.table_engine import by_planner
+from cvqmpt_lab.paper_tables.table_engine import by_planner, goalless_text
 from cvqmpt_lab.paper_tables.trainings import all_directories, training_lines
 from cvqmpt_lab.paper_tables.writers import BOLD, Lines, Ratio, estimate, markdown_table
 
 PAGE = PUBLISHED.parent / "README.md"
+OWN_PAGE, OWN_PICTURE = "claims.md", "claims.png"  # of own rows, in their folder
 PAPER_TABLES = {  # titles of the paper's tables on the page of claims, by results directory
     "place-task-ompl": "Table I, place task",
     "place-task-published": "The same in the direction of the published code",
@@ -161,13 +165,34 @@ def comparison_lines(comparisons: Iterable[Comparison]) -> Lines:
     return lines
 
 
-def beside_lines(own: Sequence[JudgedClaim], committed: Sequence[JudgedClaim]) -> Lines:
-    """Return a line per claim: numbers and word of own rows, word of committed rows."""
-    lines = [["claim", "first comparison", "here", "own verdict", "committed verdict"]]
-    for line, known in zip(summary_lines(own)[1:], committed, strict=True):
-        claim, first, _, means, _, word = line
-        lines.append([claim, first, means, word, known.word])
-    return lines
+def answer_text(
+    found: Mapping[str, Evidence],
+    claims: Sequence[JudgedClaim],
+    docs: str,
+    page: str,
+    more: bool = True,
+) -> str:
+    """Return the answer in one line, the picture and three paragraphs.
+
+    Args:
+        found: committed results directories by name.
+        claims: claims judged by them.
+        docs: where the page that gets the text finds the folder of docs, such as "docs/".
+        page: the same for the page of claims.
+        more: whether to add the paragraphs.
+    """
+    parts = answer_parts(claims)
+    return rendered(
+        "answer.md.j2",
+        quoted=Quoted(found),
+        answer=parts,
+        whole=whole_word(parts),
+        more=more,
+        claims=claims,
+        count=counted(claims),
+        docs=docs,
+        page=page,
+    )
 
 
 def counted(claims: Sequence[JudgedClaim]) -> str:
@@ -177,16 +202,30 @@ def counted(claims: Sequence[JudgedClaim]) -> str:
     return ", ".join(f"{count[word]} {word}" for word in words if count[word])
 
 
-def page_text(found: Mapping[str, Evidence], claims: Sequence[JudgedClaim], root: Path) -> str:
-    """Return the page of claims; its links are relative to the folder `root`."""
+def page_text(
+    found: Mapping[str, Evidence],
+    claims: Sequence[JudgedClaim],
+    root: Path,
+    committed: Judged | None = None,
+) -> str:
+    """Return the page of claims.
+
+    Args:
+        found: results directories by name.
+        claims: claims judged by them.
+        root: folder of the page, to which its links are relative.
+        committed: for own rows: the committed ones, with which the page begins.
+    """
     used = {name for item in claims for name in item.claim.suites}
     used |= {"place-task-published", "place-task-seconds", "histogram"}
     used |= all_directories()
     return rendered(
         "claims.md.j2",
         banner=banner(found),
-        pictures=root == PAGE.parent,
-        quoted=Quoted(found),
+        answer=answer_text(found, claims, "../docs/", "#the-papers-sentences")
+        if root == PAGE.parent
+        else "",
+        own=own_part(found, claims, committed) if committed else {},
         count=counted(claims),
         summary=summary_lines(claims),
         level=100.0 * (1.0 - sentence_level()),
@@ -201,6 +240,26 @@ def page_text(found: Mapping[str, Evidence], claims: Sequence[JudgedClaim], root
         trainings=training_lines(found),
         results=[_made_by(item, root) for name, item in found.items() if name in used],
     )
+
+
+def own_part(
+    found: Mapping[str, Evidence], claims: Sequence[JudgedClaim], committed: Judged
+) -> dict[str, Any]:
+    """Return what a page of own rows begins with: lines of a table, words, and the picture."""
+    return {
+        "lines": beside_lines(claims, committed.claims),
+        "words": list(filter(None, (explained(claims), repeated(found, committed.found)))),
+        "picture": forest_of(claims, committed),
+    }
+
+
+def forest_of(claims: Sequence[JudgedClaim], committed: Judged | None) -> bytes:
+    """Return the picture of claims, beside the committed ones if given, as png; b"" if empty."""
+    if not any(item.effect and item.shown for claim in claims for item in claim.comparisons[:1]):
+        return b""
+    from cvqmpt_lab.paper_tables import plots  # matplotlib takes a second to import
+
+    return plots.forest(claims, committed.claims if committed else ())
 
 
 def paper_lines(evidence: Evidence) -> Lines:
@@ -249,6 +308,7 @@ def report_html(
     paths: Mapping[str, Mapping[str, str]] | None = None,
     title: str = "CVQ-MPT, reproduced",
     verdicts: bool = True,
+    committed: Judged | None = None,
 ) -> str:
     """Return one self-contained html file about results directories.
 
@@ -258,24 +318,30 @@ def report_html(
         paths: title and html of a path in 3-D, by the name of its directory.
         title: title of the page.
         verdicts: whether to judge the paper's claims by these rows.
+        committed: for own rows: the committed ones, which stand beside them.
     """
     claims = judged_claims(found) if verdicts else []
     if not any(item.comparisons for item in claims):
         claims = []
+    own = own_part(found, claims, committed) if claims and committed else {}
+    picture = own["picture"] if own else forest_of(claims, None)
     sections: list[dict[str, Any]] = []
     for evidence in found.values():
         report(len(sections), len(found))
         sections.append({**section_of(evidence), "path": (paths or {}).get(evidence.folder.name)})
     report(len(found), len(found))
-    kept = ("name", "rows", "again", "path")
+    kept = ("name", "rows", "again", "path", "scatter")
     data = [{key: section[key] for key in kept} for section in sections]
     text = json.dumps({"columns": REPORT_COLUMNS, "sections": data}, separators=(",", ":"))
     return rendered(
         "report.html.j2",
         title=title,
-        verdicts=verdicts,
+        # rows of a user's own problems say nothing about the paper
+        alone=not verdicts and any(row.suite in SUITES for x in found.values() for row in x.rows),
         banner=banner(found),
-        claims=summary_lines(claims) if claims else [],
+        claims=own.get("lines") or (summary_lines(claims) if claims else []),
+        own=own,
+        picture=data_address(picture, "image/png") if picture else "",
         styles={str(Word.REPLICATED): "holds", str(Word.SAME): "not", str(Word.OPPOSITE): "not"},
         untested=[str(Word.NO_ROWS), str(Word.UNTESTABLE)],
         reading=reading(links=False),
@@ -318,11 +384,27 @@ def section_of(evidence: Evidence) -> dict[str, Any]:
         # html colours of planners in the plots
         "colours": {name: plots.line_style(name)["color"] for name in groups},
         "rows": {planner: [_row(row) for row in own] for planner, own in groups.items()},
+        "note": goalless_text(rows),
+        "published": bool(published_of(suite)),
+        "scatter": scatter_choice(list(groups)),
         # the command that repeats a row
         "again": f"cvqmpt plan {problem} --planner PLANNER --seed SEED --picture plan.png",
         "provenance": _provenance(evidence),
         "pictures": _pictures(evidence.folder),
     }
+
+
+def scatter_choice(planners: Sequence[str]) -> list[str]:
+    """Return the two planners, A and B, that a scatter plot compares first; [] if there is one.
+
+    A is a user's planner if there is one, B the reference of ratios.
+    """
+    from cvqmpt_lab.paper_tables.plots import is_own
+
+    first = [name for name in planners if is_own(name)] + [x for x in planners if x != REFERENCE]
+    others = [name for name in (REFERENCE, *planners) if name in planners]
+    pairs = [(a, b) for a in first for b in others if a != b]
+    return list(pairs[0]) if pairs else []
 
 
 def _plots(groups: Mapping[str, Rows]) -> dict[str, dict[str, str]]:
@@ -386,6 +468,10 @@ def _pictures(folder: Path) -> dict[str, str]:
         for path in sorted(folder.glob(f"*{kind}")):
             shown = {Path(name).stem for name in pictures}
             if path.stem not in shown and path.stat().st_size < 2_000_000:
-                data = base64.b64encode(path.read_bytes()).decode("ascii")
-                pictures[path.name] = f"data:{written};base64,{data}"
+                pictures[path.name] = data_address(path.read_bytes(), written)
     return pictures
+
+
+def data_address(content: bytes, kind: str) -> str:
+    """Return a file of a kind, such as image/png, as an address that contains it."""
+    return f"data:{kind};base64,{base64.b64encode(content).decode('ascii')}"

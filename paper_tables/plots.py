@@ -27,6 +27,7 @@ from cvqmpt_lab.paper_tables.measures import (
 )
 from cvqmpt_lab.paper_tables.rule import Word
 from cvqmpt_lab.planning.by_name import declared
+from cvqmpt_lab.vqmpt.sampler_choice import PREFIX
 
 Groups = Mapping[str, Sequence[ResultRow]]  # rows by planner
 STYLE: Any = {
@@ -55,14 +56,23 @@ LEGEND_LINE = 0.18  # [inches] of height a planner in a legend
 def line_style(name: str) -> dict[str, Any]:
     """Arguments of matplotlib's `plot` for a planner, or for a variant of it: "birrt improved".
 
-    Variants have the planner's colour and dashes; a planner that is not declared has dots. Colours
-    that are not declared follow from the name.
+    Variants have the planner's colour and dashes, products of a learned sampler have dots, and
+    planners of users are thick. Colours that are not declared follow from the name.
     """
     planner, *variant = name.split()
     known = declared().get(planner)
     colour = known.colour if known and known.colour else _colour(planner)
+    if is_own(name):
+        return {"color": colour, "linestyle": "-", "linewidth": 3.2}
     dash = ":" if known is None else "--" if variant else "-"
     return {"color": colour, "linestyle": dash, "linewidth": 2.6 if planner == OURS else 1.4}
+
+
+def is_own(name: str) -> bool:
+    """Return whether a planner is a user's: the toolkit does not have it."""
+    planner = name.split()[0]
+    known = declared() | declared("control", "unshipped")
+    return planner not in known and not planner.startswith(PREFIX)
 
 
 def _colour(name: str) -> str:
@@ -108,8 +118,8 @@ def profile(groups: Groups, kind: str) -> Figure:
         factors = sorted(x / best.get(key, 1.0) for key, x in values.items())
         shares = 100.0 * np.arange(1, len(factors) + 1) / len(groups[name])
         style = line_style(name)
-        if name.split()[0] not in declared():
-            style = {"color": matplotlib.colormaps["tab10"](place % 10), "linewidth": 3.2}
+        if is_own(name):
+            style["color"] = matplotlib.colormaps["tab10"](place % 10)
         axes.step(factors, shares, where="post", label=name, **style)
     label = f"{kind} / smallest {kind} of all planners"
     _finish(axes, "time, everything counted [s]" if kind == "solved" else label, "solved [%]")
@@ -118,22 +128,33 @@ def profile(groups: Groups, kind: str) -> Figure:
 
 
 @matplotlib.rc_context(STYLE)
-def forest(claims: Sequence[JudgedClaim]) -> bytes:
-    """Return the first ratio of each claim with its interval and the paper's number, as png."""
+def forest(claims: Sequence[JudgedClaim], committed: Sequence[JudgedClaim] = ()) -> bytes:
+    """Return the first ratio of each claim with its interval and the paper's number, as png.
+
+    committed: the same claims judged by committed rows, whose ratios are added as squares.
+    """
     lines = [
-        (item.claim.title, first, first.effect.means)
+        (item.claim.title, first, first.shown)
         for item in claims
-        if (first := next(iter(item.comparisons), None)) and first.effect
+        if (first := next(iter(item.comparisons), None)) and first.effect and first.shown
     ]
+    known = {
+        item.claim.title: item.comparisons[0].shown
+        for item in committed
+        if item.comparisons and item.comparisons[0].effect
+    }
     figure = Figure(figsize=(WIDTH, 1.3 + 0.34 * len(lines)), layout="constrained")
     axes = figure.subplots()
-    for place, (_, first, ratio) in enumerate(lines):
+    for place, (title, first, ratio) in enumerate(lines):
         colour = WORD_COLOURS[first.word]
         ends = np.array([ratio.low, ratio.estimate, ratio.high], dtype=float)
         axes.plot(ends[[0, 2]], [place] * 2, color=colour, linewidth=3.0)
         axes.plot(ends[1], place, "o", color=colour)
         if first.paper is not None:
             axes.plot(first.paper, place, "D", color="black", markersize=6, fillstyle="none")
+        other = known.get(title)
+        if other and other.estimate is not None:
+            axes.plot(other.estimate, place, "s", color="black", markersize=5)
     names = [f"{title}\n{x.planner} / {x.baseline}" for title, x, _ in lines]
     axes.set_yticks(range(len(lines)), names, fontsize=8)
     axes.set_ylim(len(lines) - 0.4, -0.6)
@@ -143,8 +164,10 @@ def forest(claims: Sequence[JudgedClaim]) -> bytes:
     axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     used = dict.fromkeys(first.word for _, first, _ in lines)
     marks = [Line2D([], [], color=WORD_COLOURS[w], marker="o", label=w) for w in used]
-    style: Any = {"marker": "D", "fillstyle": "none", "linestyle": "none"}
-    marks.append(Line2D([], [], color="black", label="the paper's number", **style))
+    style: Any = {"color": "black", "linestyle": "none"}
+    marks.append(Line2D([], [], marker="D", fillstyle="none", label="the paper's number", **style))
+    if known:
+        marks.append(Line2D([], [], marker="s", label="committed rows", **style))
     figure.legend(handles=marks, loc="outside upper center", ncols=3, frameon=False)
     return figure_bytes(figure, "png", 140)
 

@@ -12,13 +12,13 @@ from cvqmpt_lab.benchmarks.results.row import RUNS_FILE, ResultRow
 from cvqmpt_lab.benchmarks.results.store import rows_and_note
 from cvqmpt_lab.paper_tables.layouts import place_table
 from cvqmpt_lab.paper_tables.statements import PublishedValue, read_published
-from cvqmpt_lab.paper_tables.table_engine import SuiteTable, rows_of_one_suite
+from cvqmpt_lab.paper_tables.table_engine import SuiteTable, goalless_text, rows_of_one_suite
 from cvqmpt_lab.paper_tables.writers import markdown, markdown_text
 
 
 def title_of(suite: str) -> str:
     """Return the title of the tables of a suite or of a folder of problem files."""
-    return SUITES[suite].title if suite in SUITES else suite
+    return SUITES[suite].title if suite in SUITES else f"Folder {suite}"
 
 
 def published_of(suite: str) -> tuple[PublishedValue, ...]:
@@ -35,8 +35,9 @@ def table_of(rows: Iterable[ResultRow]) -> SuiteTable:
     """
     rows = rows_of_one_suite(rows)
     suite = rows[0].suite
-    table = SUITES[suite].table if suite in SUITES else place_table
-    made: SuiteTable = table(rows, published_of(suite))
+    if suite not in SUITES:
+        return place_table(rows, own=True)
+    made: SuiteTable = SUITES[suite].table(rows, published_of(suite))
     return made
 
 
@@ -69,7 +70,8 @@ def rendered_tables(directory: Path) -> Rendered:
         + made.latex(caption, label),
         "table.csv": made.csv,
     }
-    brief = [f"{title}: {made.size}, {_cutoffs(record)}", *ended, *made.brief]
+    facts = filter(None, (made.size, goalless_text(rows), _cutoffs(record)))
+    brief = [f"{title}: {', '.join(facts)}", *ended, *made.brief]
     return Rendered(texts, brief)
 
 

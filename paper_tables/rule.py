@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cvqmpt_lab.base.errors import InvalidInputError
-from cvqmpt_lab.benchmarks.results.statistics import Interval, student_interval
+from cvqmpt_lab.benchmarks.results.statistics import CONFIDENCE, Interval, student_interval
 
 LEVEL = 0.05  # limit of the probability that any sentence is wrongly *replicated*
 SHARE_MARGIN = 0.05  # difference of solved shares that counts as none
@@ -34,7 +34,7 @@ class Word(StrEnum):
     OPEN = "inconclusive"
     STATISTIC = "depends on the statistic"
     HARDWARE = "depends on hardware"
-    NO_ROWS = "no rows yet"
+    NO_ROWS = "not run"
     UNTESTABLE = "not testable"
 
 
@@ -95,6 +95,24 @@ def ratio_of_means(own: Sequence[float], other: Sequence[float], level: float) -
         rng=np.random.default_rng(0),
     ).confidence_interval
     return Interval(estimate, float(found.low), float(found.high), len(own))
+
+
+def few_ratio(own: Sequence[float], other: Sequence[float]) -> Interval:
+    """Return the ratio of arithmetic means of few problems with Student's 95 % interval.
+
+    It judges nothing: words need FEWEST_PROBLEMS. The standard error is that of `problems_needed`,
+    by the delta method on the logarithm, so one problem has no interval.
+
+    Args:
+        own: of the planner, one for each problem, all above 0.
+        other: of the baseline.
+    """
+    ours, theirs = np.array(own, dtype=float), np.array(other, dtype=float)
+    ratio = float(ours.mean() / theirs.mean())
+    # their mean is 0, up to rounding
+    away = (ours - ratio * theirs) / ours.mean()
+    around = student_interval((math.log(ratio) + away).tolist(), CONFIDENCE).mapped(math.exp)
+    return around._replace(estimate=ratio, n=len(own))
 
 
 def word_of(effect: Effect, paper: float | None) -> Word:
@@ -168,6 +186,24 @@ def share_gain(own: Sequence[bool], other: Sequence[bool], level: float) -> Inte
     gains = [float(a) - float(b) for a, b in zip(own, other, strict=True)]
     if len(gains) < FEWEST_PROBLEMS:
         return Interval(fmean(gains) if gains else None, None, None, len(gains))
+    return _paired_gain(gains, level)
+
+
+def few_gain(own: Sequence[bool], other: Sequence[bool]) -> Interval:
+    """Return the difference of solved shares of few problems with Student's 95 % interval.
+
+    It judges nothing: words need FEWEST_PROBLEMS.
+
+    Args:
+        own: whether the planner solved each problem within the paper's cut-off.
+        other: the same of the baseline.
+    """
+    gains = [float(a) - float(b) for a, b in zip(own, other, strict=True)]
+    return _paired_gain(gains, 1.0 - CONFIDENCE)
+
+
+def _paired_gain(gains: Sequence[float], level: float) -> Interval:
+    """Return the mean of differences with Student's interval and two pseudo-problems."""
     found = student_interval([*gains, math.sqrt(0.5), -math.sqrt(0.5)], 1.0 - level)
     return found._replace(estimate=fmean(gains), n=len(gains))
 

@@ -49,6 +49,7 @@ class Claim:
     pooled: bool = False  # whether effects of kinds of problems are pooled
     untestable: str = ""  # why no rows can decide the claim, or ""
     remark: str = ""  # what a reader needs to interpret the numbers
+    answers: str = ""  # part of the answer in one line that this claim gives, or ""
 
     @property
     def is_share(self) -> bool:

@@ -228,8 +228,24 @@ def published_notes(runs: SuiteRuns, published: Iterable[PublishedValue]) -> lis
     return [f"{metric} ({', '.join(names)}): {note}" for (metric, note), names in owners.items()]
 
 
+def goalless(rows: Rows) -> list[str]:
+    """Return the names of problems that have no goal, so that every planner fails on them."""
+    reasons = grouped((row.problem, row.fail_reason) for row in rows)
+    return [name for name, found in reasons.items() if set(found) == {FailReason.NO_GOAL}]
+
+
+def goalless_text(rows: Rows) -> str:
+    """Return how many problems have no goal, such as "2 of 20 problems have no goal", or ""."""
+    count, every = len(goalless(rows)), len({row.problem for row in rows})
+    have = "has" if count == 1 else "have"
+    return f"{count} of {every} problems {have} no goal" if count else ""
+
+
 def run_notes(runs: SuiteRuns) -> Iterable[str]:
-    """Yield notes on problems left out, on several seeds, and on planners with fewer seeds."""
+    """Yield notes on problems left out or without a goal, on seeds, and on planners with fewer."""
+    if text := goalless_text(runs.rows):
+        names = ", ".join(goalless(runs.rows)[:5])
+        yield f"{text}, such as {names}: every planner fails on them, and this counts."
     if runs.unmade:
         name, why = next(iter(runs.unmade.items()))
         yield (

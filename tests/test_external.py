@@ -15,6 +15,7 @@ from cvqmpt_lab.benchmarks.results.store import states_hash
 from cvqmpt_lab.experiments.experiment import Experiment
 from cvqmpt_lab.experiments.run import executor_for, run_experiment
 from cvqmpt_lab.external import door, names
+from cvqmpt_lab.external.counted import counted, with_reported
 from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.planning.planners import planner_named
 from cvqmpt_lab.planning.warm_up import compile_kernels
@@ -221,3 +222,80 @@ def test_the_command_plans_with_an_external_planner_and_keeps_json_clean(capfd):
     assert told["solved"] and told["counts"] is None
     run_here([*words, "their_planners:raising"], code=1)
     assert "planner error (RuntimeError: no luck today)" in capfd.readouterr().out
+
+
+COUNTED = """
+import numpy as np
+from my_geometry import touches
+
+def calling(problem, budget, seed):
+    checker, states = problem.collision_checker(), np.array([problem.start, problem.goals[0]])
+    for q in states:
+        problem.manifold.project(q + 0.4)
+    touches(checker, problem.start)
+    checker.in_collision_batch(states)
+    return states
+
+def reporting(problem, budget, seed):
+    return calling(problem, budget, seed), {"state_checks": np.int64(1000)}
+
+def failing(problem, budget, seed):
+    return None, {"projections": 7, "newton_iterations": 21}
+
+def wrong(problem, budget, seed):
+    return None, {'checks': 3}
+"""
+
+
+@pytest.fixture(scope="module")
+def counting(tmp_path_factory):
+    """Return the plan of a planner in COUNTED, which checks states through another module."""
+    folder = tmp_path_factory.mktemp("counting")
+    (folder / "counting_planners.py").write_text(COUNTED)
+    touches = "touches = lambda checker, q: checker.in_collision(q)\n"
+    (folder / "my_geometry.py").write_text(touches)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(folder)
+        yield lambda name: solve(single_goal_problem(5), f"counting_planners:{name}", ENOUGH, 0)
+
+
+def test_calls_of_ours_are_counted_and_a_report_replaces_them(counting):
+    called = counting("calling").plan
+    assert (called.counters.projections, called.counters.state_checks) == (2, 3)
+    assert called.counters.newton_iterations > 0 and called.as_is
+    reported = counting("reporting")
+    told = reported.plan.counted
+    assert (told.projections, told.state_checks) == (2, 1000)
+    line = r"counts +2 projections, \d+ Newton iterations, 1000 state checks\n"
+    assert re.search(line, str(reported.report("mine")))
+    failed = counting("failing").plan
+    assert failed.status is PlanStatus.NO_PATH and failed.counters.newton_iterations == 21
+    wrong = counting("wrong").plan
+    assert wrong.status is PlanStatus.MALFORMED_PATH and "it reported 'checks'" in wrong.detail
+
+
+@pytest.mark.parametrize(
+    ("report", "told"),
+    [
+        ({"checks": 3}, "it reported 'checks': valid counts are projections,"),
+        ({"projections": -3}, "it reported projections -3: give a whole number, 0 or more"),
+        ({"projections": 2.5}, "it reported projections 2.5: give a whole number"),
+        ({"state_checks": float("nan")}, "it reported state_checks nan: give a whole number"),
+        ({"state_checks": float("inf")}, "it reported state_checks inf: give a whole number"),
+        ({"state_checks": "many"}, "it reported state_checks 'many': give a whole number"),
+        ({"state_checks": [3]}, "it reported state_checks .*: give a whole number"),
+        ({"state_checks": 1 << 60}, "it reported state_checks .*: give a whole number"),
+    ],
+)
+def test_a_report_that_is_no_count_is_refused(report, told):
+    refused(told, with_reported, {}, report)
+
+
+def test_counting_ends_with_the_call_and_leaves_our_own_calls_out():
+    problem = single_goal_problem(5)
+    project = type(problem.manifold).project
+    with counted() as work:
+        assert type(problem.manifold).project is not project
+        solve(problem, "birrt", Budget(iterations=200), 0)
+        assert (work.projections, work.state_checks) == (0, 0)
+    assert type(problem.manifold).project is project

@@ -46,14 +46,6 @@ def _place_suites() -> list[Suite]:
                 Amount(problems=60, cutoff=5.0, planners=controlled, folder="controls"),
                 Amount(planners=PlannerGroups.slow, late=True),
                 Amount(problems=30, planners=("ompl-bkpiece",), late=True),
-                Amount(profile="small", problems=10, cutoff=2.0),
-                Amount(
-                    profile="small",
-                    problems=3,
-                    cutoff=2.0,
-                    planners=controlled,
-                    folder="controls",
-                ),
             ),
             paper=paper,
         ),
@@ -62,10 +54,7 @@ def _place_suites() -> list[Suite]:
             title="Place task, the carried can in the way",
             problems=range(150),
             make=problem_maker("place_task:place_problem", with_can=True),
-            amounts=(
-                Amount(planners=PlannerGroups.quick),
-                Amount(profile="small", problems=5, cutoff=2.0, planners=PlannerGroups.few),
-            ),
+            amounts=(Amount(planners=PlannerGroups.quick),),
             paper=paper,
         ),
         Suite(
@@ -124,7 +113,8 @@ def _place_suites() -> list[Suite]:
 
 def _ompl_suites() -> list[Suite]:
     """Suites of the paper's experiment: all planners inside OMPL, limits in the paper's seconds."""
-    samplers = tuple(name for name in PlannerGroups.in_ompl if name != "ompl-mpnet")
+    # of each suite that a sentence of the paper is judged by, the first five problems
+    small = partial(Amount, profile="small", problems=5, cost=100.0)
     experiment = partial(
         Suite,
         make=problem_maker("place_task:place_problem"),
@@ -139,7 +129,7 @@ def _ompl_suites() -> list[Suite]:
         experiment,
         planners=("ompl-projected", "ompl-uniform", "ompl-cvq", "ompl-opt-cvq"),
         shown_in_hand=None,
-        amounts=(Amount(cost=100.0, late=True),),
+        amounts=(Amount(cost=100.0, late=True), small(planners=PlannerGroups.paper_alone)),
         table=Imported("cvqmpt_lab.paper_tables.ompl_table:kinds_table"),
         paper=None,
     )
@@ -151,6 +141,7 @@ def _ompl_suites() -> list[Suite]:
             amounts=(
                 Amount(cost=100.0),
                 Amount(profile="paper", problems=100, cost=100.0, planners=PlannerGroups.paper),
+                small(planners=PlannerGroups.paper),
             ),
         ),
         experiment(
@@ -166,7 +157,7 @@ def _ompl_suites() -> list[Suite]:
             problems=range(400, 498),  # nobody has looked at them
             make=problem_maker("sensor_task:sensor_problem"),
             shown_in_hand=None,
-            amounts=(Amount(cost=100.0, late=True),),
+            amounts=(Amount(cost=100.0, late=True), small(planners=PlannerGroups.paper)),
             paper=("place_task.csv", "Physical robot"),
         ),
         by_kind(
@@ -190,14 +181,6 @@ def _ompl_suites() -> list[Suite]:
             name="place-task-ompl-tuning",
             title="The same on problems that settings were chosen on",
             problems=range(1000, 1100),
-            amounts=(
-                Amount(
-                    profile="small",
-                    problems=20,
-                    cost=100.0,
-                    planners=("ompl-projected", *samplers),
-                ),
-            ),
         ),
     ]
 
@@ -285,6 +268,7 @@ def _executed_suite() -> Suite:
 
 def _task_suites() -> list[Suite]:
     """Suites of the multi-sequence task."""
+    few = partial(Amount, cost=100.0, planners=PlannerGroups.paper_alone)
     multi_sequence = partial(
         Suite,
         make=problem_maker("place_task:multi_sequence_task"),
@@ -302,7 +286,6 @@ def _task_suites() -> list[Suite]:
             amounts=(
                 Amount(planners=PlannerGroups.quick),
                 Amount(problems=16, planners=PlannerGroups.slow, late=True),
-                Amount(profile="small", problems=2, cutoff=2.0, planners=PlannerGroups.few),
             ),
         ),
         multi_sequence(
@@ -315,12 +298,8 @@ def _task_suites() -> list[Suite]:
             amounts=(
                 Amount(cost=100.0, late=True),
                 # the others fail in the approach, which the paper does not time
-                Amount(
-                    profile="paper",
-                    problems=10,
-                    cost=100.0,
-                    planners=("ompl-projected", "ompl-cvq", "ompl-opt-cvq"),
-                ),
+                few(profile="paper", problems=10),
+                few(profile="small", problems=5),
             ),
         ),
     ]

@@ -11,7 +11,7 @@ from cvqmpt_lab.benchmarks.suite_parts import (
 )
 
 
-def _family(name: str, what: str, *more: Amount) -> Suite:
+def _family(name: str, what: str) -> Suite:
     """Suite of 50 problems in held-out scenes of a family."""
     planners = (
         *("birrt", "birrt-printed", "cvq-mpt", "opt-cvq-mpt", "cvq-wide", "cvq-tuned"),
@@ -22,7 +22,7 @@ def _family(name: str, what: str, *more: Amount) -> Suite:
         title=f"Held-out {what}, hand upright",
         problems=range(50),
         make=problem_maker("family_task:held_out_problem", family=name),
-        amounts=(Amount(cutoff=3.0, planners=planners), *more),
+        amounts=(Amount(cutoff=3.0, planners=planners),),
     )
 
 
@@ -76,11 +76,7 @@ def _families() -> list[Suite]:
     return [
         _family("cubes-spheres", "scenes of cubes and balls"),
         _family("table", "scenes with a table"),
-        _family(
-            "shelves",
-            "scenes with shelves",
-            Amount(profile="small", problems=3, cutoff=2.0, planners=PlannerGroups.few),
-        ),
+        _family("shelves", "scenes with shelves"),
         _family("kitchen-like", "scenes like kitchens"),
         _family("cluttered-table", "tables crowded with slim things"),
         _family("narrow-shelves", "shelves that a hand just fits into"),
@@ -97,7 +93,7 @@ def _constraints() -> list[Suite]:
             problems=range(160),
             make=problem_maker("family_task:constraint_problem"),
             planners=PlannerGroups.tuned,
-            amounts=(Amount(cutoff=5.0), Amount(profile="small", problems=8, cutoff=2.0)),
+            amounts=(Amount(cutoff=5.0),),
             table=table_maker(
                 "layouts:group_table",
                 what="constraint",
@@ -170,7 +166,7 @@ def _arms() -> list[Suite]:
             problems=range(180),
             make=problem_maker("family_task:robots_problem"),
             planners=("birrt", "ompl-projected", "roadmap"),
-            amounts=(Amount(cutoff=5.0), Amount(profile="small", problems=20, cutoff=2.0)),
+            amounts=(Amount(cutoff=5.0),),
             table=table_maker(
                 "layouts:group_table",
                 what="arm",
@@ -213,7 +209,6 @@ def _sensed_and_unconstrained() -> list[Suite]:
             amounts=(
                 Amount(seeds=3, planners=PlannerGroups.quick),
                 Amount(planners=PlannerGroups.slow, late=True),
-                Amount(profile="small", problems=2, cutoff=2.0),
             ),
             table=table_maker("layouts:place_table", sensed=True),
             paper=("place_task.csv", "Physical robot"),
@@ -229,10 +224,7 @@ def _sensed_and_unconstrained() -> list[Suite]:
                 "cvq:transformer+decoded+every-waypoint",
                 "cvq-tuned",
             ),
-            amounts=(
-                Amount(seeds=2, cutoff=3.0),
-                Amount(profile="small", problems=8, cutoff=2.0),
-            ),
+            amounts=(Amount(seeds=2, cutoff=3.0),),
             table=table_maker(
                 "layouts:group_table",
                 what="group",
@@ -306,7 +298,6 @@ def two_arm_suites() -> list[Suite]:
                 Amount(planners=ours),
                 # most of its runs take the whole cut-off
                 Amount(problems=30, planners=("ompl-projected",)),
-                Amount(profile="small", problems=4, cutoff=2.0),
             ),
             table=table_maker(
                 "layouts:group_table",

@@ -52,7 +52,8 @@ class PlannerGroups:
     slow = (*declared("slow"),)
     in_ompl = (*declared("in-ompl"),)
     every = (*(name for name, planner in declared().items() if planner.group != "in-ompl"),)
-    paper = ("ompl-projected", *slow, *in_ompl[1:4])  # Tables I and II
+    paper = ("ompl-projected", *slow, *in_ompl[1:4])  # Table I
+    paper_alone = ("ompl-projected", "ompl-cvq", "ompl-opt-cvq")  # Table II, other constraints
     few = ("birrt", "ompl-projected", "cvq-mpt", "opt-cvq-mpt", "roadmap-cvq")
     tuned = (*few, "birrt-printed", "cvq-tuned")
     # `cvq-tuned` along straight lines instead of predicted sequences, and random roadmaps

@@ -3,8 +3,9 @@
 An external planner is a function (problem, budget, seed), or a class without constructor arguments
 whose instances are such functions. It returns a path, an array (m, n) [rad or m] from the start to
 one of the goals with straight segments between its rows; None if it found no path; or a
-`search.planner_interface.Proposal`, with which the search of this package continues. Only plain
-data come back from its process (`external.process`), so it cannot change the code that judges it.
+`search.planner_interface.Proposal`, with which the search of this package continues. A pair of one
+of these and a mapping reports its work, see `external.counted`. Only plain data come back from its
+process (`external.process`), so it cannot change the code that judges it.
 """
 
 from dataclasses import dataclass, replace
@@ -15,6 +16,7 @@ import numpy as np
 
 from cvqmpt_lab.base.errors import InvalidInputError, one_line
 from cvqmpt_lab.base.polyline import cut, parts_within
+from cvqmpt_lab.external.counted import counters_of
 from cvqmpt_lab.external.names import distribution_of, entry_points
 from cvqmpt_lab.external.process import NoReply, PlannerProcess
 from cvqmpt_lab.problem import PlanningProblem
@@ -66,6 +68,7 @@ class ExternalPlanner:
                 raise NoReply("a budget of cost counts operations of ours: give seconds")
             limit = None if seconds is None else 2.0 * seconds + 0.5
             words, arrays = self.process.plan(budget, query.seed, seconds=limit)
+            proposal = replace(proposal, counters=counters_of(words))
             if "error" in words:
                 raise NoReply(str(words["error"]))
             if seconds is not None and query.deadline.seconds > 1.1 * seconds + 0.1:
@@ -130,6 +133,7 @@ def proposal_of(
             fallback=one_line(str(words["fallback"])),
             path=path,
             failure=failure,
+            counters=path_alone.counters,
         )
     except (KeyError, TypeError, ValueError) as error:
         raise NoReply(f"its reply cannot be read: {one_line(str(error))}") from error

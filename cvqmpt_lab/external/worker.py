@@ -12,6 +12,7 @@ import pickle
 import signal
 import socket
 import sys
+from collections.abc import Mapping
 from hashlib import sha256
 from importlib import metadata
 from inspect import isclass
@@ -30,6 +31,7 @@ from cvqmpt_lab.base.errors import (
 from cvqmpt_lab.base.jit import compile_all
 from cvqmpt_lab.base.modules import described, imported
 from cvqmpt_lab.base.processes import end_with_parent, limit_memory, one_thread
+from cvqmpt_lab.external.counted import counted, with_reported
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.search.planner_interface import GaussianMixture, Proposal, Uniform
 from cvqmpt_lab.search.result import Budget
@@ -116,8 +118,22 @@ class Worker:
     def plan(self, budget: Budget, seed: int) -> Reply:
         """Call the planner; the reply has its path or proposal as words and arrays."""
         assert self.problem is not None
-        with one_thread():
+        with one_thread(), counted() as work:
             returned = self.planner(self.problem, budget, seed)
+        counts = vars(work)
+        # (path, counts): a path of two states has no names
+        if isinstance(returned, tuple) and len(returned) == 2 and isinstance(returned[1], Mapping):
+            returned, reported = returned
+            try:
+                counts = with_reported(counts, reported)
+            except InvalidInputError as error:
+                return {"malformed": str(error)}, {}
+        words, arrays = self.reply(returned)
+        return {**words, "counts": counts}, arrays
+
+    def reply(self, returned: Any) -> Reply:
+        """Return what a planner returned as words and arrays."""
+        assert self.problem is not None
         if returned is None:
             return {"none": True}, {}
         if isinstance(returned, Proposal):

@@ -333,7 +333,9 @@ def _attempts(
             proposal = stages.predict(part, replace(observed, use_cache=use_cache))
             if stages.update is not None:
                 proposal = stages.update(part, proposal)
-            proposals[part.goals.tobytes()] = replace(proposal, timings=Timings(), vertices=0)
+            proposals[part.goals.tobytes()] = replace(
+                proposal, timings=Timings(), vertices=0, counters=Counters()
+            )
             proposal = replace(proposal, timings=proposal.timings + ranking)
             ranking = Timings()
         proposed = 1e3 * query.deadline.seconds

@@ -88,7 +88,7 @@ class Solution:
             record: makes the record of the certificate for the data, see
                 `features.motion.record.record_of`.
         """
-        plan, shorter, counts = self.plan, self.simplified, self.plan.counters
+        plan, shorter, counts = self.plan, self.simplified, self.plan.counted
         samples = f"samples: {plan.sampler}"
         chosen = f"{planner} ({why})" if why else planner
         times = f"goals {1e3 * self.goal_seconds:.1f} ms, plan {1e3 * plan.seconds:.1f} ms"
@@ -109,14 +109,12 @@ class Solution:
         ]
         if self.seeds > 1:
             lines.append(("seed", f"{self.seed} of {self.seeds}: --seed {self.seed} repeats it"))
-        if not plan.as_is:
-            lines.append(
-                (
-                    "counts",
-                    f"{counts.projections} projections, {counts.newton_iterations} Newton "
-                    f"iterations, {counts.state_checks} state checks, {plan.vertices} vertices",
-                )
+        if counts is not None:
+            told = (
+                f"{counts.projections} projections, {counts.newton_iterations} Newton "
+                f"iterations, {counts.state_checks} state checks"
             )
+            lines.append(("counts", told if plan.as_is else f"{told}, {plan.vertices} vertices"))
         if plan.path is not None and shorter is not None:
             lines.append(
                 ("length", f"{plan.path.length:.2f} rad, simplified {shorter.path.length:.2f} rad")
@@ -242,7 +240,7 @@ def _data(
         certificate: record of the certificate, see `features.motion.record.record_of`.
         why: the reason if the planner was chosen by default.
     """
-    plan, shorter = solution.plan, solution.simplified
+    plan, shorter, counts = solution.plan, solution.simplified, solution.plan.counted
     problem, more = solution.problem, solution.improvement
     return {
         "problem": problem.name,
@@ -269,7 +267,7 @@ def _data(
             "search": plan.search_seconds,
             "simplify": shorter.seconds if shorter else None,
         },
-        "counts": None if plan.as_is else vars(plan.counters) | {"vertices": plan.vertices},
+        "counts": counts and vars(counts) | {"vertices": None if plan.as_is else plan.vertices},
         "length_rad": shorter.path.length if shorter else None,
         "optimize": more and vars(more) | {"budget": asdict(more.budget), "gained": more.gained},
         "certificate": certificate,

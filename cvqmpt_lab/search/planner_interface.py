@@ -302,6 +302,7 @@ class Proposal:
     path: JointPath | None = None  # on the manifold and free; no search follows
     failure: PlanStatus | None = None  # status of a prediction after which no search can succeed
     as_is: bool = False  # see `PlanResult.as_is`
+    counters: Counters = field(default_factory=Counters)  # work of an external planner
 
 
 def uniform(query: Query, observation: Observation) -> Proposal:
@@ -382,7 +383,7 @@ def search(
     return replace(
         result,
         seconds=deadline.seconds,
-        counters=deadline.counters,
+        counters=deadline.counters + proposal.counters,
         vertices=proposal.vertices + result.vertices,
         timings=proposal.timings,
         detail="; ".join(filter(None, (proposal.detail, result.detail))),

@@ -1,6 +1,6 @@
 """The result of a planning run: status, path, counts, times."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import astuple, dataclass, field, replace
 from enum import StrEnum
 from functools import cached_property
 from numbers import Real
@@ -96,6 +96,10 @@ class Counters:
     # parts of `projections` and `newton_iterations`: projections of draws
     draw_projections: int = 0
     draw_newton_iterations: int = 0
+
+    def __add__(self, other: "Counters") -> "Counters":
+        """Sum of each count."""
+        return Counters(*(a + b for a, b in zip(astuple(self), astuple(other), strict=True)))
 
     @property
     def work(self) -> float:
@@ -194,6 +198,11 @@ class PlanResult:
             return self
         vertices, timings = earlier.vertices + self.vertices, earlier.timings + self.timings
         return replace(self, vertices=vertices, timings=timings, roots=earlier.roots + self.roots)
+
+    @property
+    def counted(self) -> Counters | None:
+        """The counts; None where an external planner neither called ours nor reported any."""
+        return None if self.as_is and self.counters == Counters() else self.counters
 
     @property
     def search_seconds(self) -> float:

@@ -56,6 +56,15 @@ def test_options_of_the_other_action_are_refused(capsys, tmp_path):
         assert told in refused(capsys, "model", *words)
 
 
+def test_weights_of_a_training_need_no_import(panda, capsys, tmp_path):
+    trained = tmp_path / "stage1" / "model"
+    save_checkpoint(trained, random_checkpoint(panda))
+    for folders in ((trained.parent, tmp_path), (tmp_path, trained.parent), (trained, tmp_path)):
+        words = ("--dictionary-dir", folders[0], "--ar-dir", folders[1], "--out", tmp_path / "out")
+        told = refused(capsys, "model", "import", *words)
+        assert f"{trained} has weights of this toolkit, which need no import" in told
+
+
 def test_models_are_found_by_name_or_folder_for_one_robot(panda, slider_arm, tmp_path):
     assert resolve_model() == resolve_model("vq_mpt") == WEIGHTS_FOLDER / "vq_mpt"
     found = resolve_model(architecture="mpnet", robot=robot_signature(panda))

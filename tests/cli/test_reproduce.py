@@ -1,6 +1,7 @@
 """`cvqmpt reproduce`: output files, continuation of earlier runs, errors."""
 
 import json
+import re
 from dataclasses import replace
 
 import pytest
@@ -35,9 +36,10 @@ def test_every_suite_and_the_controls_are_part_of_everything():
 def test_it_writes_rows_tables_verdicts_and_the_report_and_goes_on_where_it_was(
     cvqmpt, monkeypatch, tmp_path
 ):
-    one = Amount(profile="small", problems=1, cutoff=5.0)
-    suite = replace(SUITES["place-task"], planners=("birrt",), amounts=(one,))
-    monkeypatch.setattr(experiment, "SUITES", {"place-task": suite})
+    planners = ("ompl-projected", "ompl-cvq")
+    two = Amount(profile="small", problems=2, cost=100.0, planners=planners)
+    suite = replace(SUITES["place-task-ompl"], amounts=(two,))
+    monkeypatch.setattr(experiment, "SUITES", {"place-task-ompl": suite})
 
     def drawn(figure, folder, command, problems):  # of two problems
         return reproduce_figure(figure, folder, command, problems[:2])
@@ -47,25 +49,53 @@ def test_it_writes_rows_tables_verdicts_and_the_report_and_goes_on_where_it_was(
     for module in ("reproduce_command", "options"):
         monkeypatch.setattr(f"cvqmpt_lab.cli.{module}.log", said.append)
     lines = cvqmpt(words).splitlines()
-    assert said[0].startswith("place-task: 1 runs on 1 processes take about ")
+    assert said[0].startswith("place-task-ompl: 4 runs on 1 processes take about ")
     assert any(line.startswith("histogram: 30 problems") for line in said)
-    assert "A path in 3-D: problem 0, birrt, seed 0" in (tmp_path / "report.html").read_text()
-    assert "own verdict" in lines[1] and "committed verdict" in lines[1]
-    told = zip(lines[2 : 2 + len(CLAIMS)], CLAIMS, strict=True)
+    report = (tmp_path / "report.html").read_text()
+    assert "A path in 3-D: problem 5000, ompl-cvq, seed 0" in report
+    heads = ["sentence", "paper", "here, with interval", "committed"]
+    assert re.split(" {2,}", lines[0]) == heads
+    told = zip(lines[1 : 1 + len(CLAIMS)], CLAIMS, strict=True)
     assert all(line.startswith(claim.title) for line, claim in told)
-    assert len(lines) <= 40 and max(map(len, lines)) <= 100 + len(str(tmp_path))
+    by_title = {line[:35].strip(): line for line in lines}
+    number = r"0\.49 +\d\.\d+ \[[\d.]+, [\d.]+\], 2 cannot decide +0\.\d\d, mixed"
+    assert re.search(number, by_title["almost twice as fast"])
+    assert re.search(r"1\.18 +not run +1\.\d\d,", by_title["sensed scenes: outperforms"])
+    assert any("same 4 runs, 4 have the same result" in line for line in lines)
+    assert len(lines) <= 40 and max(map(len, lines)) <= 113 + len(str(tmp_path))
     assert str(tmp_path / "report.html") in lines[-1] and str(tmp_path / "claims.md") in lines[-2]
-    for name in ("report.html", "claims.md", "histogram/values.csv", "place-task/table.md"):
+    for name in ("report.html", "claims.md", "histogram/values.csv", "place-task-ompl/table.md"):
         assert (tmp_path / name).is_file()
-    record = json.loads((tmp_path / "place-task" / "provenance.json").read_text())
-    assert record["command"][:3] == ["cvqmpt", "reproduce", "place-task"] and record["wall_s"] > 0.0
-    for page in ("claims.md", "report.html"):
-        assert "These rows were made with --profile small" in (tmp_path / page).read_text()
-    rows = (tmp_path / "place-task" / RUNS_FILE).read_bytes()
-    for name in ("page_text", "verdict_lines", "write_report"):  # seen above, and slow
+    folder = tmp_path / "place-task-ompl"
+    record = json.loads((folder / "provenance.json").read_text())
+    assert record["command"][:3] == ["cvqmpt", "reproduce", folder.name] and record["wall_s"] > 0.0
+    for page, picture in (("claims.md", "(claims.png)"), ("report.html", 'src="data:image/png')):
+        text = (tmp_path / page).read_text()
+        assert "These rows were made with --profile small" in text
+        # the page opens on the table and the picture
+        marks = ("2 cannot decide", picture, "Table I" if page == "claims.md" else "<h2>Tables")
+        places = [text.index(mark) for mark in marks]
+        assert places == sorted(places)
+    assert (tmp_path / "claims.png").read_bytes().startswith(b"\x89PNG")
+    rows = (folder / RUNS_FILE).read_bytes()
+    for name in ("write_claims", "write_report"):  # seen above, and slow
         monkeypatch.setattr(f"cvqmpt_lab.cli.reproduce_command.{name}", lambda *_, **named: "")
     cvqmpt(words)
-    assert (tmp_path / "place-task" / RUNS_FILE).read_bytes() == rows
+    assert (folder / RUNS_FILE).read_bytes() == rows
+
+
+def test_the_small_profile_runs_five_problems_of_every_suite_that_judges_the_paper():
+    parts = {part.folder: part for part in parts_of("small")}
+    assert parts.keys() == {name for claim in CLAIMS for name in claim.suites}
+    compared = {name: set(part.experiment.planners) for name, part in parts.items()}
+    for name, part in parts.items():
+        setup = part.experiment
+        assert setup.problems == tuple(SUITES[name].problems[:5]) and setup.seeds == (0,)
+        assert setup.budget.cost == 100.0, "the limit of the committed rows"
+        assert part.command[:3] == ["cvqmpt", "reproduce", name]
+    for claim in CLAIMS:
+        first = {claim.planners[0], *claim.baselines[:1]}
+        assert all(first <= compared[name] for name in claim.suites)
 
 
 def test_the_profile_of_the_paper_is_said_to_take_less_than_20_minutes():

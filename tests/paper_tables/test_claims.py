@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from made_rows import a_failure, a_row
 
+from cvqmpt_lab.paper_tables import answer, beside, trainings
 from cvqmpt_lab.paper_tables import claims as judged
-from cvqmpt_lab.paper_tables import trainings
 from cvqmpt_lab.paper_tables.claims import Evidence, comparisons, judged_claims, sentence_level
 from cvqmpt_lab.paper_tables.committed import README, RESULTS
 from cvqmpt_lab.paper_tables.pages import report_html
@@ -149,7 +149,7 @@ def test_other_trainings_are_compared_with_the_baselines_rows_of_the_suite():
 def test_claims_without_rows_say_so_and_what_cannot_be_tested_too():
     found = {item.claim.title: item.word for item in judged_claims({})}
     assert found.pop("probabilistically complete") == "not testable"
-    assert set(found.values()) == {"no rows yet"}
+    assert set(found.values()) == {"not run"}
 
 
 def test_verdicts_lead_a_report_of_rows_that_judge():
@@ -158,6 +158,80 @@ def test_verdicts_lead_a_report_of_rows_that_judge():
     places = [text.index(mark) for mark in ('id="verdicts"', "almost twice as fast", "<details")]
     assert places == sorted(places) and "not testable" in text and 'class="verdict holds"' in text
     assert "prices of the published code" in text and "judgement.md" not in text, "a single file"
+
+
+def few_rows(**checks):
+    """Five problems, whose costs differ by more than the planners do."""
+    return [row for row in place_rows(**checks) if int(row.problem) < 5]
+
+
+def test_few_problems_have_an_interval_and_no_verdict():
+    claim = BY_TITLE["almost twice as fast"]
+    (found,) = comparisons(claim, (evidence(few_rows(ompl_cvq=10, ompl_projected=25)),), 0.05)
+    assert found.word is Word.OPEN and found.few[:3] == pytest.approx([0.4] * 3)
+    rows = few_rows(ompl_cvq=10, ompl_projected=25)
+    uneven = [
+        replace(row, n_state_checks=row.n_state_checks * (1 + 4 * (row.problem == "2")))
+        if row.planner == "ompl-cvq"
+        else row
+        for row in rows
+    ]
+    (found,) = comparisons(claim, (evidence(uneven),), 0.05)
+    low, high = found.few.low, found.few.high
+    assert found.few.estimate == pytest.approx(0.4 * (110 + 4 * 22) / 110) and low < 0.4 < 1 < high
+    judged_claim = judged.JudgedClaim(claim, (found,), ())
+    assert beside.here(judged_claim).endswith("], 5 cannot decide")
+    solved = BY_TITLE["MPNet does not generalize"]
+    mpnet = few_rows(ompl_cvq=10, ompl_mpnet=10)
+    failed = [replace(x, solved=False, certified=None, fail_reason="timeout") for x in mpnet[5:]]
+    (share,) = comparisons(solved, (evidence([*mpnet[:5], *failed]),), 0.05)
+    assert share.few.estimate == 1.0 and share.few.low > 0.0
+    told = beside.here(judged.JudgedClaim(solved, (share,), ()))
+    assert told.startswith("+100 [") and told.endswith("pt, as the paper says")
+    one = [row for row in rows if row.problem == "0"]
+    (single,) = comparisons(claim, (evidence(one),), 0.05)
+    assert beside.here(judged.JudgedClaim(claim, (single,), ())) == "0.400, 1 cannot decide"
+
+
+def test_own_rows_that_are_the_committed_ones_repeat_them_all():
+    rows = few_rows(ompl_cvq=1000, ompl_projected=2500)
+    known = {"place-task-ompl": evidence(rows)}
+    assert "same 10 runs, 10 have the same result (solved or not), 10" in beside.repeated(
+        known, known
+    )
+    other = [replace(row, n_state_checks=row.n_state_checks + 100) for row in rows]
+    told = beside.repeated({"place-task-ompl": evidence(other)}, known)
+    assert "10 have the same result (solved or not), 0 exactly" in told and "and 10 the" in told
+    assert beside.repeated({"place-task": evidence(rows)}, known) == ""
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ([Word.REPLICATED] * 3, "yes"),
+        ([Word.REPLICATED, Word.OPPOSITE], "in part"),
+        ([Word.SMALLER] * 2, "in part"),
+        ([Word.SAME, Word.OPEN], "no"),
+        ([Word.OPPOSITE] * 2, "no"),
+        ([Word.OPEN], "undecided"),
+    ],
+)
+def test_the_answer_is_yes_no_or_in_part(words, told):
+    made = [judged.Comparison(planner="a", baseline="b", count=40, failed=(0, 0), paper=0.5, word=x)
+            for x in words]  # fmt: skip
+    assert answer.answer_word(made) == told
+
+
+def test_the_answer_of_hardware_is_in_part_where_some_time_of_networks_gives_it():
+    (found,) = comparisons(
+        BY_TITLE["almost twice as fast"],
+        (evidence(place_rows(ompl_cvq=10, ompl_projected=25)),),
+        0.05,
+    )
+    depends = replace(found, word=Word.HARDWARE)
+    assert answer.answer_word([depends]) == "in part"
+    parts = [answer.Part(name, word, "", "") for name, word in (("Time", "no"), ("Length", "yes"))]
+    assert answer.whole_word(parts) == "in part" and answer.whole_word(parts[:1]) == "no"
 
 
 # ---------------------------------------------------------------- committed rows
@@ -247,8 +321,13 @@ def test_five_verdicts_follow_from_the_rows_by_other_code(title, planner, baseli
 
 def test_the_readmes_sentences_have_the_numbers_of_the_rows():
     text = README.read_text(encoding="utf-8")
-    answer = text[text.index("<!-- answer") : text.index("<!-- end of answer")]
-    told = [float(x) for x in re.findall(r"(\d\.\d+) \[", answer)]
+    written = text[text.index("<!-- answer") : text.index("<!-- end of answer")]
+    bold = written.partition("\n\n")[0]
+    questions = ("Time", "Length", "Accuracy", "Algorithm 2")
+    places = [bold.index(f"{question}: ") for question in questions]
+    assert places == sorted(places) and bold.count("**") == 2
+    assert written.index(bold) < written.index("forest.png") < written.index("**Time.**")
+    told = [float(x) for x in re.findall(r"(\d\.\d+) \[", written)]
     suite = "place-task-ompl"
     means = [
         np.divide(*columns(suite, *pair, cost).mean(axis=1))

@@ -204,6 +204,49 @@ def test_pictures_of_the_committed_rows_are_drawn_without_a_display(
         assert path.is_file() and picture.startswith(b"\x89PNG") and len(picture) > 20_000
 
 
+def own_folder(folder, planner="my_module:plan"):
+    """Rows of a folder of eight problems, two of which have no goal; a planner of the user."""
+    rows = []
+    for name, time in (("birrt", 1.0), (planner, 2.0)):
+        for k in range(8):
+            if k > 5:
+                rows.append(a_failure(f"p{k}", name, suite="shelves", fail_reason="no_goal"))
+                continue
+            values = {"t_total_s": time + 0.1 * k, "path_length_rad": 5.0, "vertices": 9}
+            counts = {"n_projections": 10, "n_state_checks": 100 + k}
+            rows.append(a_row(f"p{k}", name, suite="shelves", **values, **counts))
+    store(folder, rows)
+    return folder
+
+
+def test_a_table_of_own_problems_says_nothing_of_the_paper_and_counts_those_without_a_goal(
+    tmp_path,
+):
+    made = render_directory(own_folder(tmp_path))
+    assert made.brief[0].startswith("Folder shelves: 8 problems, 2 of 8 problems have no goal, cut")
+    text = made.texts["table.md"]
+    heads = [line for line in text.splitlines() if line.startswith(("#", "| planner"))]
+    assert not any("paper" in line for line in heads) and "paper's cost" not in text
+    assert "## Accuracy\n\n| planner        | solved [%]" in text
+    assert "2 of 8 problems have no goal, such as p6, p7: every planner fails on them" in text
+
+
+def test_a_report_of_own_problems_has_a_scatter_plot_and_their_planner_thick(tmp_path):
+    text = pages.report_html(pages.evidence_of(own_folder(tmp_path)), verdicts=False)
+    assert "too little to judge the paper" not in text and "the paper's sentences" not in text
+    assert "<strong>2 of 8 problems have no goal</strong>" in text
+    assert re.findall(r"<option selected>([^<]*)", text) == ["my_module:plan", "birrt"]
+    widths = dict(
+        reversed(found)
+        for found in re.findall(r'stroke-width="([\d.]+)"[^>]*><title>([^<]*)', text)
+    )
+    assert float(widths["my_module:plan"]) > 2 * float(widths["birrt"])
+    alone = [row for row in read_rows(tmp_path / RUNS_FILE) if row.planner == "birrt"]
+    write_rows(tmp_path / RUNS_FILE, alone)
+    text = pages.report_html(pages.evidence_of(tmp_path), verdicts=False)
+    assert 'class="scatter"' not in text, "there is one planner"
+
+
 EVIL = "<script>alert(1)</script>$x$"
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 
@@ -384,7 +427,7 @@ def test_a_browser_reads_it_without_a_message_on_its_console(page, tmp_path):
     words = [CHROMIUM, *arguments, (tmp_path / "r.html").as_uri() + "#rows/0/opt-cvq-mpt"]
     done = subprocess.run(words, capture_output=True, text=True, timeout=500, check=True)
     assert "CONSOLE" not in done.stderr
-    told = "<dialog", "opt-cvq-mpt: rows of place-task"
+    told = "<dialog", "opt-cvq-mpt: rows of place-task", "9 of 10 runs solved by both", "<circle"
     assert all(text in done.stdout for text in told), "the script ran"
     assert re.search(r'srcdoc="[^"]*turned"', done.stdout), "what is opened shows its page"
 
@@ -394,6 +437,9 @@ def test_every_planner_has_a_colour_of_its_own_and_ours_a_thick_line():
     styles = [line_style(name) for name in ("birrt", "birrt improved", OURS, "peer")]
     assert styles[0]["color"] == styles[1]["color"] != styles[2]["color"]
     assert styles[2]["linewidth"] > styles[0]["linewidth"] and styles[3] == line_style("peer")
+    assert styles[3]["linewidth"] > styles[2]["linewidth"], "a user's own planner"
+    product = line_style("cvq:uniform+free-draws")
+    assert product["linestyle"] == ":" and product["linewidth"] == styles[0]["linewidth"]
 
 
 def test_passages_are_grouped_by_kind_and_width_with_what_is_solved_in_a_time():
