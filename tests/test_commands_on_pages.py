@@ -1,0 +1,146 @@
+"""Every command on pages and in helps runs, in the order printed, in an empty folder.
+
+The default run leaves out what takes long (`LONG`); `pytest --long` runs it, too. Both take small
+amounts (`SMALLER`).
+"""
+
+import json
+import re
+import shutil
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import SCAN_START
+from pages import PAGES, ROOT, command_lines, python_of, words_of
+from refusals import DATA
+
+from cvqmpt_lab.base.modules import Code
+from cvqmpt_lab.cli.main import COMMANDS, examples_of, main
+from cvqmpt_lab.scene.cloud_files import write_cloud
+
+PAGES_WITH_COMMANDS = [path for path in PAGES if list(command_lines(path.read_text()))]
+TRAY = "TRAY"  # stands for the start of tray.json
+OTHER_START = "0.9,0.3,0,-2.0,0,2.3,0.8"  # the pose of SCAN_START on the other side
+NOT_RUN = {
+    r"^(git|make|pip|\.venv/bin/pip|- run: pip)\b": "installs, or builds what `make test` builds",
+    r"^dask |--dask ": "needs a cluster",
+    r"\bproblems fetch|motion-bench": "needs a network",
+    r"\breproduce peers": "needs the extra `peers`, which is not installed",
+    r"\bbench paper-": "needs the extra `pybullet`, which is not installed",
+    r"\bcvqmpt studio": "serves until Ctrl-C; tests/features/studio start it",
+    r"claims .*--write": "writes into the checkout; tests/paper_tables/test_claims.py writes a copy",
+    r"docs/judge/|run.mcap": "tests/test_documents.py compares what they print",
+    r"\bcompletion ": "needs the extra `completion`, which is not installed",
+    r"check-tables( --all)?$": "repeats planners for minutes, as `make test` does",
+}
+"""What no test here runs, with the reason."""
+LONG = (
+    r"cvqmpt (reproduce|data|train|bench|execute|figure|report|compare|table|claims)\b",
+    r"check-tables|multi-sequence|runs/|data/ur5|--model|--save \S+(gif|rrd)",
+)
+"""What takes a second or more of processor time, or needs the results of such a command."""
+SMALLER = {
+    r"(--problems|--seeds|--epochs|--minutes) \d+": r"\1 1",
+    r"(reproduce (?!all|problems)(?!.*--problems).*)": r"\1 --problems 1",
+    r"(reproduce (?!.*--cutoff)(?!.*ompl|.*--iterations).*)": r"\1 --cutoff 1",
+    r"--scenes \d+": "--scenes 4",
+    r"--paths-per-scene \d+": "--paths-per-scene 4",
+    r"(train .*)--profile (compact|published)": r"\1--profile smoke",
+    r"(reproduce .*)--cutoff \d+": r"\1--cutoff 1",
+    r"(plan .*)--cutoff 5": r"\1--cutoff 60",  # so that it is solved on a busy machine, too
+}
+"""Amounts that are made smaller: patterns, and what is taken instead."""
+READERS = {
+    r"--robot baxter(.*)\$Q(.*)\$G": rf"--robot baxter\1{TRAY}\2{TRAY}",
+    r"\"?\$Q\"?|\bQ1\b|\b0,0,0,-2,0,2,0|\b0,-0\.8,0,-2\.4,0,1\.6,0\.8": SCAN_START,
+    r"\"?\$G\"?|\bQ2\b|\b1,0,0,-2,0,2,0": OTHER_START,
+}
+"""What stands for values of the reader."""
+BEFORE = {
+    r"(?<!new )mine\.json": "cvqmpt problems new --robot panda mine.json",
+    r"(?<!new )task\.json": "cvqmpt problems new --task drawer task.json",
+    r"(?<!new )drawer\.json": "cvqmpt problems new --task drawer drawer.json",
+    r"motions/ drawer": "cvqmpt plan drawer.json --trajectory motions/",
+    r"--scene scene\.json": f"cvqmpt scan depth.png --intrinsics lens.yaml --extrinsics pose.json "
+    f"--arm-at {SCAN_START} --out scene.json",
+    r"--scene room\.json": "cvqmpt problems import shelf.scene --out room.json",
+    r"--cloud clean\.pcd": "cvqmpt scan depth.png --intrinsics lens.yaml --extrinsics pose.json "
+    "--out clean.pcd",
+    r"--robot robot\.json": "cvqmpt robot panda --tool 0,0,0.1 --out robot.json",
+    r"path\.csv place-task": "cvqmpt plan place-task --problem 7 --save path.csv",
+    r"motion\.json place-task": "cvqmpt plan place-task --problem 7 --trajectory motion.json",
+    r"path\.json mine\.json": "cvqmpt plan mine.json --trajectory path.json",
+    r"--motion motion\.json": "cvqmpt plan mine.json --trajectory motion.json",
+    r"(?<!new )tray\.json --": "cvqmpt problems new --robot baxter tray.json",
+}
+"""What a reader did before: a pattern of commands, and what wrote the file of its last word."""
+CODES = {r"--current \"0.1|--request request": 1}
+"""Exit codes of commands that do not end with 0."""
+
+
+@pytest.fixture
+def readers_folder(tmp_path, monkeypatch, scan_folder, scan_view):
+    """An empty folder but for files that are the reader's own: scans, an arm, poses."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(Code, "allowed", False)
+    for name in ("my_module", "my_planner"):
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    lens, pose = (json.loads((scan_folder / f"depth.{x}.json").read_text())
+                  for x in ("intrinsics", "extrinsics"))
+    shutil.copy(scan_folder / "depth.png", "depth.png")
+    Path("lens.yaml").write_text(json.dumps(lens))
+    for name in ("pose", "left", "right"):
+        Path(f"{name}.json").write_text(json.dumps(pose))
+    T = np.array(pose["T_world_camera"])
+    for name in ("scan", "left", "right"):
+        write_cloud(Path(f"{name}.pcd"), (scan_view.points - T[:3, 3]) @ T[:3, :3])
+    shutil.copy(DATA / "slider_arm.urdf", "arm.urdf")
+    shutil.copy(DATA / "newer.scene", "shelf.scene")
+    for made, given in (("motion", "plan"), ("request", "request")):
+        shutil.copy(ROOT / "docs" / "judge" / f"{given}.yaml", f"{made}.yaml")
+    Path("scene.yaml").write_text("name: empty\nis_diff: false\nworld: {collision_objects: []}\n")
+    return tmp_path
+
+
+def run_commands(lines, capsys, everything):
+    """Run the commands of a page in order; return those that were run."""
+    ran = []
+    for line in lines:
+        if any(re.search(pattern, line) for pattern in NOT_RUN):
+            continue
+        if not everything and any(re.search(pattern, line) for pattern in LONG):
+            continue
+        made = line
+        for pattern, taken in (SMALLER | READERS).items():
+            made = re.sub(pattern, taken, made)
+        if TRAY in made:
+            start = json.loads(Path("tray.json").read_text())["start"]
+            made = made.replace(TRAY, ",".join(map(str, start.values())))
+        for pattern, earlier in BEFORE.items():
+            if re.search(pattern, line) and not Path(earlier.split()[-1]).exists():
+                assert main(words_of(earlier)) == 0, (earlier, capsys.readouterr())
+        wanted = next((c for p, c in CODES.items() if re.search(p, line)), 0)
+        import time; t0=time.process_time()
+        got = main(words_of(made))
+        open("/tmp/strangers_times.txt","a").write(f"{time.process_time()-t0:.2f} {made[:110]}\n")
+        assert got == wanted, (made, capsys.readouterr())
+        ran.append(made)
+    return ran
+
+
+@pytest.mark.parametrize("page", PAGES_WITH_COMMANDS, ids=lambda page: page.name)
+def test_commands_of_a_page_run_in_order(page, readers_folder, capsys, request):
+    for program in python_of(page.relative_to(ROOT)):
+        if name := re.search(r"my_module|my_planner", page.read_text()):
+            Path(f"{name[0]}.py").write_text(program)
+            break
+    lines = list(command_lines(page.read_text(encoding="utf-8")))
+    run_commands(lines, capsys, request.config.getoption("--long"))
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_examples_of_a_help_run_in_order(command, readers_folder, capsys, request):
+    text = "```\n{}\n```".format("\n".join(examples_of(command)))
+    run_commands(list(command_lines(text)), capsys, request.config.getoption("--long"))
