@@ -156,6 +156,7 @@ def committed_pages(
             README: {
                 "answer": pages.rendered("answer.md.j2", quoted=quoted),
                 "planners": pages.rendered("readme.md.j2", quoted=quoted),
+                "table": pages.rendered("peers.md.j2", quoted=quoted),
             },
             DOCS / "method.md": {"planners": planner_table()},
         }

@@ -29,6 +29,8 @@ NOT_RUN = {
     r"\bproblems fetch|motion-bench": "needs a network",
     r"\breproduce peers": "needs the extra `peers`, which is not installed",
     r"\bbench paper-": "needs the extra `pybullet`, which is not installed",
+    r"reproduce all ": "takes minutes; tests/cli/test_reproduce.py runs it with one problem",
+    r"table paper_tables/": "writes into the checkout what `check-tables` compares",
     r"\bcvqmpt studio": "serves until Ctrl-C; tests/features/studio start it",
     r"claims .*--write": "writes into the checkout; tests/paper_tables/test_claims.py writes a copy",
     r"docs/judge/|run.mcap": "tests/test_documents.py compares what they print",
@@ -38,10 +40,12 @@ NOT_RUN = {
 """What no test here runs, with the reason."""
 LONG = (
     r"cvqmpt (reproduce|data|train|bench|execute|figure|report|compare|table|claims)\b",
-    r"check-tables|multi-sequence|runs/|data/ur5|--model|--save \S+(gif|rrd)",
+    r"check-tables|multi-sequence|runs/|data/ur5|--model|model import|--save \S+(gif|rrd)",
 )
 """What takes a second or more of processor time, or needs the results of such a command."""
 SMALLER = {
+    r"(problems export place-task)": r"\1 --problems 1",
+    r"paper_tables/results": str(ROOT / "paper_tables" / "results" / "passages"),
     r"(--problems|--seeds|--epochs|--minutes) \d+": r"\1 1",
     r"(reproduce (?!all|problems)(?!.*--problems).*)": r"\1 --problems 1",
     r"(reproduce (?!.*--cutoff)(?!.*ompl|.*--iterations).*)": r"\1 --cutoff 1",
@@ -58,6 +62,7 @@ READERS = {
     r"\"?\$G\"?|\bQ2\b|\b1,0,0,-2,0,2,0": OTHER_START,
 }
 """What stands for values of the reader."""
+FEW = "--scenes 4 --paths-per-scene 4"
 BEFORE = {
     r"(?<!new )mine\.json": "cvqmpt problems new --robot panda mine.json",
     r"(?<!new )task\.json": "cvqmpt problems new --task drawer task.json",
@@ -72,11 +77,27 @@ BEFORE = {
     r"path\.csv place-task": "cvqmpt plan place-task --problem 7 --save path.csv",
     r"motion\.json place-task": "cvqmpt plan place-task --problem 7 --trajectory motion.json",
     r"path\.json mine\.json": "cvqmpt plan mine.json --trajectory path.json",
-    r"--motion motion\.json": "cvqmpt plan mine.json --trajectory motion.json",
+    r"--motion motion\.json|certify motion\.json mine": "cvqmpt plan mine.json --trajectory motion.json",
     r"(?<!new )tray\.json --": "cvqmpt problems new --robot baxter tray.json",
+    r"certify runs/mine|(?<!--out )problems/?( |$)": "cvqmpt problems export place-task --problems 1 "
+    "--out problems",
+    r"certify runs/mine": "cvqmpt reproduce problems/ --planners birrt --cutoff 1 --out runs/mine",
+    r"(certify|figure \w+|report|compare|table) (?:.* )?runs/(\w[\w-]*)": "cvqmpt reproduce "
+    r"place-task --problems 1 --planners birrt,my_module:plan --cutoff 1 --out runs/\2",
+    r"compare runs/\w+ runs/(\w+)": "cvqmpt reproduce place-task --problems 1 --planners birrt "
+    r"--cutoff 1 --out runs/\1",
+    r"--data data/(paths|small)": f"cvqmpt data generate {FEW} --out data/\\1",
+    r"--data data/roadmap": f"cvqmpt data generate --labels roadmap {FEW} --out data/roadmap",
+    r" runs/ur5( |$)": f"cvqmpt data generate --robot ur5 {FEW} --out data/ur5",
+    r"--dictionary runs/ur5( |$)": "cvqmpt train stage1 --profile smoke --data data/ur5 --out runs/ur5",
+    r"--data data/ur5-roadmap": "cvqmpt data generate --labels roadmap --robot ur5 --dictionary "
+    f"runs/ur5 {FEW} --out data/ur5-roadmap",
+    r"--dictionary runs/published": "cvqmpt train stage1 --profile smoke --data data/paths --out "
+    "runs/published",
+    r"--model runs/published": "cvqmpt model import --dictionary-dir A --ar-dir B --out runs/published",
 }
 """What a reader did before: a pattern of commands, and what wrote the file of its last word."""
-CODES = {r"--current \"0.1|--request request": 1}
+CODES = {r"--current \"0.1|--request request|plan place-task .* my_planner:plan$": 1}
 """Exit codes of commands that do not end with 0."""
 
 
@@ -87,8 +108,10 @@ def readers_folder(tmp_path, monkeypatch, scan_folder, scan_view):
     monkeypatch.setattr(Code, "allowed", False)
     for name in ("my_module", "my_planner"):
         monkeypatch.delitem(sys.modules, name, raising=False)
-    lens, pose = (json.loads((scan_folder / f"depth.{x}.json").read_text())
-                  for x in ("intrinsics", "extrinsics"))
+    lens, pose = (
+        json.loads((scan_folder / f"depth.{x}.json").read_text())
+        for x in ("intrinsics", "extrinsics")
+    )
     shutil.copy(scan_folder / "depth.png", "depth.png")
     Path("lens.yaml").write_text(json.dumps(lens))
     for name in ("pose", "left", "right"):
@@ -98,10 +121,26 @@ def readers_folder(tmp_path, monkeypatch, scan_folder, scan_view):
         write_cloud(Path(f"{name}.pcd"), (scan_view.points - T[:3, 3]) @ T[:3, :3])
     shutil.copy(DATA / "slider_arm.urdf", "arm.urdf")
     shutil.copy(DATA / "newer.scene", "shelf.scene")
+    for name in ("my_planner", "my_module"):
+        Path(f"{name}.py").write_text(python_of("docs/your_planner.md")[0])
+    poses = ("0.4,0.1,0.5,3.1416,0,0", "0.4,0.2,0.5,3.1416,0,0", "0.45,0.2,0.45,3.1416,0,0")
+    for name in ("poses", "seam"):
+        Path(f"{name}.csv").write_text("\n".join(poses) + "\n")
     for made, given in (("motion", "plan"), ("request", "request")):
         shutil.copy(ROOT / "docs" / "judge" / f"{given}.yaml", f"{made}.yaml")
     Path("scene.yaml").write_text("name: empty\nis_diff: false\nworld: {collision_objects: []}\n")
     return tmp_path
+
+
+@pytest.fixture
+def authors_weights(request):
+    """With --long: folders like those of the authors' weights, which need torch."""
+    if request.config.getoption("--long"):
+        dictionary, sequence = request.getfixturevalue("published")()
+        for name in ("A", "model1"):
+            shutil.copytree(dictionary, name)
+        for name in ("B", "stage2/model1"):
+            shutil.copytree(sequence, name)
 
 
 def run_commands(lines, capsys, everything):
@@ -119,28 +158,33 @@ def run_commands(lines, capsys, everything):
             start = json.loads(Path("tray.json").read_text())["start"]
             made = made.replace(TRAY, ",".join(map(str, start.values())))
         for pattern, earlier in BEFORE.items():
-            if re.search(pattern, line) and not Path(earlier.split()[-1]).exists():
+            if not (found := re.search(pattern, line)):
+                continue
+            earlier = found.expand(earlier)
+            if not Path(earlier.split()[-1]).exists():
                 assert main(words_of(earlier)) == 0, (earlier, capsys.readouterr())
         wanted = next((c for p, c in CODES.items() if re.search(p, line)), 0)
-        import time; t0=time.process_time()
+        import time
+
+        t0 = time.process_time()
         got = main(words_of(made))
-        open("/tmp/strangers_times.txt","a").write(f"{time.process_time()-t0:.2f} {made[:110]}\n")
+        open("/tmp/strangers_times.txt", "a").write(
+            f"{time.process_time() - t0:.2f} {made[:110]}\n"
+        )
         assert got == wanted, (made, capsys.readouterr())
         ran.append(made)
     return ran
 
 
 @pytest.mark.parametrize("page", PAGES_WITH_COMMANDS, ids=lambda page: page.name)
-def test_commands_of_a_page_run_in_order(page, readers_folder, capsys, request):
-    for program in python_of(page.relative_to(ROOT)):
-        if name := re.search(r"my_module|my_planner", page.read_text()):
-            Path(f"{name[0]}.py").write_text(program)
-            break
+def test_commands_of_a_page_run_in_order(page, readers_folder, authors_weights, capsys, request):
+    if page.name == "your_constraint.md":
+        Path("my_module.py").write_text(python_of(page)[0])
     lines = list(command_lines(page.read_text(encoding="utf-8")))
     run_commands(lines, capsys, request.config.getoption("--long"))
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_examples_of_a_help_run_in_order(command, readers_folder, capsys, request):
+def test_examples_of_a_help_run_in_order(command, readers_folder, authors_weights, capsys, request):
     text = "```\n{}\n```".format("\n".join(examples_of(command)))
     run_commands(list(command_lines(text)), capsys, request.config.getoption("--long"))
