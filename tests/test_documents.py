@@ -146,9 +146,10 @@ def test_the_short_examples_run_in_an_empty_folder(example, tmp_path, monkeypatc
     assert list(OUTPUTS["differences"](shown, printed)) == [], "python docs/gallery.py"
 
 
-def test_the_figure_of_frames_is_drawn_by_its_program():
-    stored = Image.open(ROOT / "docs" / "gallery" / "frames.png").convert("RGB")
-    made = runpy.run_path(str(ROOT / "docs" / "frames.py"))["figure"]()
+@pytest.mark.parametrize("name", ["frames", "region"])
+def test_the_figures_of_frames_are_drawn_by_their_program(name):
+    stored = Image.open(ROOT / "docs" / "gallery" / f"{name}.png").convert("RGB")
+    made = runpy.run_path(str(ROOT / "docs" / "frames.py"))["FIGURES"][name]()
     apart = np.abs(np.subtract(made, stored, dtype=float))
     assert apart.mean() < 2.0 and (apart > 60.0).mean() < 0.01, "python docs/frames.py"
 
