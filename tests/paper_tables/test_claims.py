@@ -265,6 +265,23 @@ def test_the_readmes_sentences_have_the_numbers_of_the_rows():
     assert told[:6] == pytest.approx(means, abs=0.006)
 
 
+def test_the_readmes_table_of_planners_has_the_medians_of_the_rows():
+    text = README.read_text(encoding="utf-8")
+    table = text[text.index("<!-- table") : text.index("<!-- end of table")]
+    lines = re.findall(r"^\| `(\S+)` \| (\d+) of (\d+) \| (\S+) \| (\S+) \|", table, re.MULTILINE)
+    rows, medians = read("peers"), {}
+    for planner, solved, count, seconds, slower in lines:
+        own = [row for row in rows if row["planner"] == planner]
+        proven = [row["solved"] == "true" for row in own]
+        assert (sum(proven), len(own)) == (int(solved), int(count))
+        times = [float(row["t_wall_s"]) if row["solved"] == "true" else np.inf for row in own]
+        medians[planner] = np.median(times)
+        told = [float(x.replace("∞", "inf")) for x in (seconds, slower)]
+        wanted = [medians[planner], medians[planner] / medians[lines[0][0]]]
+        assert told == pytest.approx(wanted, rel=0.006)
+    assert len(medians) == 7 and min(medians, key=medians.get) == lines[0][0]
+
+
 def test_mean_lengths_are_of_the_same_problems_for_all_planners():
     """Those of MPNet, which solves few problems, stood beside means over others."""
     folder = RESULTS / "place-task-published"
