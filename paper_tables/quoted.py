@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from math import inf
 
 from cvqmpt_lab.benchmarks.results.row import split_problem
 from cvqmpt_lab.benchmarks.results.statistics import Interval
@@ -111,7 +112,7 @@ class Quoted:
             value: one of `VALUES`.
         """
         medians = {
-            other: problem_median(censored(self.rows(name, other), VALUES[value])).estimate
+            other: problem_median(censored(self.rows(name, other), VALUES[value])).estimate or inf
             for other in planners
         }
         return number(medians[planner] / min(medians.values()))

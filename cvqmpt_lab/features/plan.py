@@ -10,7 +10,6 @@ from __future__ import annotations  # so `help` shows types by their names
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cvqmpt_lab.base.errors import require_choice, require_kind, whole_number
@@ -113,13 +112,6 @@ class Plan:
         if self.request.timing is None or not self.solved or self.path is None:
             return None
         return certified_motion(self.solution.problem, self.path, self.request.timing)
-
-    def save_page(self, path: Path | str) -> Path:
-        """Write the plan as one html file for a browser (`--save plan.html`); return its path."""
-        from cvqmpt_lab.features.pictures.web_page import save_page  # needed for pages alone
-
-        save_page(self.solution, Path(path))
-        return Path(path)
 
 
 def plan(problem: PlanningProblem, request: Request | None = None) -> Plan:
