@@ -14,9 +14,10 @@ from cvqmpt_lab.paper_tables import claims as judged
 from cvqmpt_lab.paper_tables import trainings
 from cvqmpt_lab.paper_tables.claims import Evidence, comparisons, judged_claims, sentence_level
 from cvqmpt_lab.paper_tables.committed import README, RESULTS
-from cvqmpt_lab.paper_tables.pages import report_html
+from cvqmpt_lab.paper_tables.pages import PAGE, report_html
 from cvqmpt_lab.paper_tables.rule import Word
 from cvqmpt_lab.paper_tables.statements import CLAIMS
+from cvqmpt_lab.paper_tables.writers import PAGE_WIDTH
 
 BY_TITLE = {claim.title: claim for claim in CLAIMS}
 
@@ -297,3 +298,12 @@ def test_mean_lengths_are_of_the_same_problems_for_all_planners():
         }
     assert means.pop("ompl-mpnet")["value"] == "" and means.keys() == solved.keys()
     assert {int(line["n"]) for line in means.values()} == {joint}
+
+
+def test_tables_of_the_page_are_not_wider_than_a_page():
+    """Tables of ten columns were cut at the right edge; each part repeats planner and baseline."""
+    lines = PAGE.read_text(encoding="utf-8").splitlines()
+    wide = [line for line in lines if line.startswith("|") and len(line) > PAGE_WIDTH + 1]
+    assert not [line for line in wide if "ompl-cvq" in line]
+    heads = [line for line in lines if line.startswith("| planner")]
+    assert sum("against" in line for line in heads) > 10
