@@ -82,7 +82,8 @@ BEFORE = {
     r"(?<!new )tray\.json --": "cvqmpt problems new --robot baxter tray.json",
     r"certify runs/mine|(?<!--out )problems/?( |$)": "cvqmpt problems export place-task "
     "--problems 1 --out problems",
-    r"compare runs/kept": "cvqmpt reproduce problems/ --planners my_planner:plan --out runs/now",
+    r"compare runs/kept": "cvqmpt reproduce problems/ --planners my_planner:plan --cutoff 1 "
+    "--out runs/now",
     r"certify runs/mine": "cvqmpt reproduce problems/ --planners birrt --cutoff 1 --out runs/mine",
     r"(certify|figure \w+|report|compare|table) (?:.* )?runs/(\w[\w-]*)": "cvqmpt reproduce "
     r"place-task --problems 1 --planners birrt,my_module:plan --cutoff 1 --out runs/\2",
