@@ -49,7 +49,7 @@ SMALLER = {
     r"(--problems|--seeds|--epochs|--minutes) \d+": r"\1 1",
     r"(reproduce (?!all|problems)(?!.*--problems).*)": r"\1 --problems 1",
     r"(reproduce (?!.*--cutoff)(?!.*ompl|.*--iterations).*)": r"\1 --cutoff 1",
-    r"--scenes \d+": "--scenes 4",
+    r"--scenes \d+": "--scenes 40",
     r"--paths-per-scene \d+": "--paths-per-scene 4",
     r"(train .*)--profile (compact|published)": r"\1--profile smoke",
     r"(reproduce .*)--cutoff \d+": r"\1--cutoff 1",
@@ -62,7 +62,7 @@ READERS = {
     r"\"?\$G\"?|\bQ2\b|\b1,0,0,-2,0,2,0": OTHER_START,
 }
 """What stands for values of the reader."""
-FEW = "--scenes 4 --paths-per-scene 4"
+FEW = "--scenes 40 --paths-per-scene 4"
 BEFORE = {
     r"(?<!new )mine\.json": "cvqmpt problems new --robot panda mine.json",
     r"(?<!new )task\.json": "cvqmpt problems new --task drawer task.json",
