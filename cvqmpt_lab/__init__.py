@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     )
     from cvqmpt_lab.features.physics.execute import execute_motion
     from cvqmpt_lab.features.pictures.picture import draw, film_solution
+    from cvqmpt_lab.features.pictures.web_page import save_page
     from cvqmpt_lab.features.plan import Plan, Request, plan
     from cvqmpt_lab.features.tasks.solve import solve_task
     from cvqmpt_lab.features.tasks.task import Task
@@ -112,6 +113,7 @@ __all__ = [
     "read_scene",
     "region",
     "robot_from_source",
+    "save_page",
     "save_trajectory",
     "solve",
     "solve_many",
@@ -156,6 +158,7 @@ _NAMES: dict[str, tuple[str, ...]] = {
     "search.planner_interface": ("GaussianMixture", "Proposal"),
     "search.result": ("Budget", "JointPath"),
     "features.pictures.picture": ("draw", "film_solution"),
+    "features.pictures.web_page": ("save_page",),
     "features.tasks.solve": ("solve_task",),
     "features.tasks.task": ("Task",),
     "features.motion.timing": ("TimingSettings", "time_path"),

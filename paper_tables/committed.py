@@ -160,6 +160,7 @@ def committed_pages(
             README: {
                 "answer": pages.answer_text(found, claims, "docs/", "paper_tables/README.md"),
                 "planners": pages.rendered("readme.md.j2", quoted=quoted),
+                "table": pages.rendered("peers.md.j2", quoted=quoted),
             },
             DOCS / "method.md": {"planners": planner_table()},
         }

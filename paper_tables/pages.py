@@ -50,7 +50,7 @@ from cvqmpt_lab.paper_tables.rule import Word
 from cvqmpt_lab.paper_tables.statements import CLAIMS, PUBLISHED, READING
 from cvqmpt_lab.paper_tables.table_engine import by_planner, goalless_text
 from cvqmpt_lab.paper_tables.trainings import all_directories, training_lines
-from cvqmpt_lab.paper_tables.writers import BOLD, Lines, Ratio, estimate, markdown_table
+from cvqmpt_lab.paper_tables.writers import BOLD, Lines, Ratio, estimate, markdown_tables
 
 PAGE = PUBLISHED.parent / "README.md"
 OWN_PAGE, OWN_PICTURE = "claims.md", "claims.png"  # of own rows, in their folder
@@ -89,7 +89,7 @@ def rendered(template: str, **data: Any) -> str:
         keep_trailing_newline=not html,
     )
     environment.filters |= {
-        "table": markdown_table,
+        "table": markdown_tables,
         "comparisons": comparison_lines,
         "td": html_cell,
         "clear": clear,
@@ -148,7 +148,7 @@ def comparison_lines(comparisons: Iterable[Comparison]) -> Lines:
     """Return a line for each comparison of a claim, with the words for other prices."""
     lines = [
         ["planner", "against", "paper", "here", "geometric mean", "problems", "failed", "word"]
-        + ["other network times", "cheap kinematics", "to decide"]
+        + ["word with slower networks", "if projections are cheap", "needed to decide"]
     ]
     for item in comparisons:
         others = {f"{name}: {word}" for name, word in item.words.items() if word is not item.word}

@@ -1,7 +1,8 @@
 """Numbers of committed rows as text, for pages whose words stand in `templates/`."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from math import inf
 
 from cvqmpt_lab.benchmarks.results.row import split_problem
 from cvqmpt_lab.benchmarks.results.statistics import Interval
@@ -98,6 +99,23 @@ class Quoted:
         """Median of a value with failures as infinite; without an interval."""
         values = censored(self.rows(name, planner), VALUES[value])
         return number(problem_median(values).estimate)
+
+    def slower(
+        self, name: str, planner: str, planners: Sequence[str], value: str = "wall_time"
+    ) -> str:
+        """Return the median of a value over the smallest median of `planners`; no interval.
+
+        Args:
+            name: name of the results directory.
+            planner: whose median is divided; a run that failed counts as infinite.
+            planners: those that are compared.
+            value: one of `VALUES`.
+        """
+        medians = {
+            other: problem_median(censored(self.rows(name, other), VALUES[value])).estimate or inf
+            for other in planners
+        }
+        return number(medians[planner] / min(medians.values()))
 
     def solved(self, name: str, planner: str) -> str:
         """Return certified runs of all runs, as "501 of 540"."""

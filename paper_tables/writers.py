@@ -19,6 +19,7 @@ _LATEX_ESCAPES = {
 }
 _LATEX_ESCAPES |= {character: f"\\{character}" for character in "&%$#_{}"}
 PAGE_WIDTH = 100  # characters of a line of Markdown
+LABELS = "planner", "against"  # titles of the last columns that every part of a wide table repeats
 BOLD = re.compile(r"\*\*(.+?)\*\*")
 
 
@@ -111,6 +112,11 @@ def markdown_table(lines: Lines) -> str:
     return "\n".join(f"| {' | '.join(line)} |" for line in (header, rule, *rest)) + "\n"
 
 
+def markdown_tables(lines: Lines) -> str:
+    """A table for Markdown; one that is wider than a page becomes several."""
+    return "\n".join(map(markdown_table, narrow(lines)))
+
+
 def markdown(sections: Sections) -> str:
     """Sections as Markdown; empty ones are left out."""
     return "\n".join(
@@ -125,7 +131,7 @@ def markdown(sections: Sections) -> str:
 def _section(part: Lines | Sequence[str]) -> str:
     lines = [line for line in part if not isinstance(line, str)]
     return (
-        "\n".join(map(markdown_table, narrow(lines)))
+        markdown_tables(lines)
         if lines
         else "".join(f"- {markdown_text(str(text))}\n" for text in part)
     )
@@ -134,9 +140,9 @@ def _section(part: Lines | Sequence[str]) -> str:
 def narrow(lines: Lines) -> list[Lines]:
     """Split a table into several of at most PAGE_WIDTH characters, except cells that are sentences.
 
-    Each has the label columns: the first, and all up to the one titled "planner".
+    Each has the label columns: the first, and all up to those titled "planner" and "against".
     """
-    labels = lines[0].index("planner") + 1 if "planner" in lines[0] else 1
+    labels = 1 + max((lines[0].index(x) for x in LABELS if x in lines[0]), default=0)
     widths = [max(3, *(len(line[k]) for line in lines)) + 3 for k in range(len(lines[0]))]
     if sum(widths[:labels]) + max(widths[labels:], default=0) >= PAGE_WIDTH:
         return [lines]

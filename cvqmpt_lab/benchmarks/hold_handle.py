@@ -88,8 +88,14 @@ def _set(source: Mapping[str, Any], fingers: Sequence[Joint], share: float) -> d
     """Return the fields of the robot with fingers at a share of their range; {} without fingers."""
     if source.get("name") == "panda":
         return {"finger_opening": round(share * PANDA_FINGER_OPENING_M, 4)}
-    at = {f.name: round(f.lower + share * (f.upper - f.lower), 4) for f in fingers}
+    at = {f.name: _rounded(f.lower + share * (f.upper - f.lower), f) for f in fingers}
     return {"locked": {**source.get("locked", {}), **at}} if fingers else {}
+
+
+def _rounded(value: float, finger: Joint) -> float:
+    """Return a value of a finger with four digits, within its limits also after rounding."""
+    lower, upper = sorted((finger.lower, finger.upper))
+    return min(max(round(value, 4), lower), upper)
 
 
 def pieces_of(robot: Robot, end_effector: str | None = None) -> dict[str, np.ndarray]:

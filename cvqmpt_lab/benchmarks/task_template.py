@@ -98,7 +98,8 @@ def task_template(source: Mapping[str, Any], what: Furniture = "drawer") -> dict
     raise InvalidInputError(
         f"no {what} was found that robot {hold.robot.name} opens: its {hold.robot.dof} joints bring"
         f" {hold.robot.end_effector}, {hold.axis} ahead, to {reached} of {tried} places{failure}; "
-        "name another --end-effector, or change the task of another arm"
+        "name another --end-effector, change the task of another arm, or write a problem for this "
+        "arm, without --task"
     )
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from refusals import refused
 
-from cvqmpt_lab.benchmarks.hold_handle import hold_of
+from cvqmpt_lab.benchmarks.hold_handle import _set, hold_of
 from cvqmpt_lab.benchmarks.task_template import task_template
 from cvqmpt_lab.benchmarks.templates import with_limits
 from cvqmpt_lab.features.tasks.solve import solve_task
@@ -16,6 +16,7 @@ from cvqmpt_lab.features.tasks.task import Slide, Task
 from cvqmpt_lab.features.tasks.world import World
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.source import ARMS
+from cvqmpt_lab.robot.urdf import Joint
 from cvqmpt_lab.search.result import Budget
 
 REFUSED = {  # and what their refusal says
@@ -80,6 +81,14 @@ def test_an_arm_on_a_base_elsewhere_gets_a_drawer_there():
     at = made["scene"]["objects"][1]["T_world_object"]["xyz"]
     assert 0.2 < np.linalg.norm(np.subtract(at, (2.0, -1.0, 0.5))) < 1.2
     check_solved(made)
+
+
+def test_a_finger_at_its_limit_stays_within_it_after_rounding():
+    """The hand of the G1 was refused: its thumb was locked at 1.0472, beyond 1.04719755."""
+    most = 1.04719755
+    thumb = Joint("thumb", "revolute", "palm", "tip", -most, most, None, 1.0, 0.0)
+    for share in (0.0, 1.0):
+        assert abs(_set({}, [thumb], share)["locked"]["thumb"]) <= thumb.upper
 
 
 def test_fingers_close_on_a_bar_and_a_flange_touches_a_knob():

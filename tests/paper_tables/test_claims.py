@@ -14,9 +14,10 @@ from cvqmpt_lab.paper_tables import answer, beside, trainings
 from cvqmpt_lab.paper_tables import claims as judged
 from cvqmpt_lab.paper_tables.claims import Evidence, comparisons, judged_claims, sentence_level
 from cvqmpt_lab.paper_tables.committed import README, RESULTS
-from cvqmpt_lab.paper_tables.pages import report_html
+from cvqmpt_lab.paper_tables.pages import PAGE, report_html
 from cvqmpt_lab.paper_tables.rule import Word
 from cvqmpt_lab.paper_tables.statements import CLAIMS
+from cvqmpt_lab.paper_tables.writers import PAGE_WIDTH
 
 BY_TITLE = {claim.title: claim for claim in CLAIMS}
 
@@ -344,6 +345,23 @@ def test_the_readmes_sentences_have_the_numbers_of_the_rows():
     assert told[:6] == pytest.approx(means, abs=0.006)
 
 
+def test_the_readmes_table_of_planners_has_the_medians_of_the_rows():
+    text = README.read_text(encoding="utf-8")
+    table = text[text.index("<!-- table") : text.index("<!-- end of table")]
+    lines = re.findall(r"^\| `(\S+)` \| (\d+) of (\d+) \| (\S+) \| (\S+) \|", table, re.MULTILINE)
+    rows, medians = read("peers"), {}
+    for planner, solved, count, seconds, slower in lines:
+        own = [row for row in rows if row["planner"] == planner]
+        proven = [row["solved"] == "true" for row in own]
+        assert (sum(proven), len(own)) == (int(solved), int(count))
+        times = [float(row["t_wall_s"]) if row["solved"] == "true" else np.inf for row in own]
+        medians[planner] = np.median(times)
+        told = [float(x.replace("∞", "inf")) for x in (seconds, slower)]
+        wanted = [medians[planner], medians[planner] / medians[lines[0][0]]]
+        assert told == pytest.approx(wanted, rel=0.006)
+    assert len(medians) == 7 and min(medians, key=medians.get) == lines[0][0]
+
+
 def test_mean_lengths_are_of_the_same_problems_for_all_planners():
     """Those of MPNet, which solves few problems, stood beside means over others."""
     folder = RESULTS / "place-task-published"
@@ -359,3 +377,12 @@ def test_mean_lengths_are_of_the_same_problems_for_all_planners():
         }
     assert means.pop("ompl-mpnet")["value"] == "" and means.keys() == solved.keys()
     assert {int(line["n"]) for line in means.values()} == {joint}
+
+
+def test_tables_of_the_page_are_not_wider_than_a_page():
+    """Tables of ten columns were cut at the right edge; each part repeats planner and baseline."""
+    lines = PAGE.read_text(encoding="utf-8").splitlines()
+    wide = [line for line in lines if line.startswith("|") and len(line) > PAGE_WIDTH + 1]
+    assert not [line for line in wide if "ompl-cvq" in line]
+    heads = [line for line in lines if line.startswith("| planner")]
+    assert sum("against" in line for line in heads) > 10

@@ -36,7 +36,7 @@ PAGE_DATA_ELEMENT = '<script type="application/json" id="data">{}</script>'
 
 def save_page(
     solution: Solution | TaskSolution,
-    path: Path,
+    path: Path | str,
     carried: Sequence[Attachment] = (),
     most_states: int = 400,
 ) -> None:
@@ -48,7 +48,7 @@ def save_page(
         carried: objects drawn in the hand if the problem has no attachments.
         most_states: a path of more states is resampled to this number, at equal distances.
     """
-    write_text(path, _html(drawing_of_solution(solution, carried, most_states, plots=True)))
+    write_text(Path(path), _html(drawing_of_solution(solution, carried, most_states, plots=True)))
 
 
 def path_html(
