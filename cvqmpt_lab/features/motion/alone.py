@@ -90,8 +90,10 @@ def robot_moving(robot: Robot, names: Sequence[str]) -> Robot:
     is not possible: it holds the joint by its name, or has a tool.
     """
     held = [joint.name for joint in robot.held_joints if joint.name in names]
+    if not held:
+        return robot
     given = read_source(robot.source)
-    if not held or given.tool is not None or {*held} & {*given.locked}:
+    if given.tool is not None or {*held} & {*given.locked}:
         return robot
     joints = read_urdf(Path(given.urdf), given.package_dirs).joints
     hands = [*given.end_effectors, *(joints[name].child for name in held)]

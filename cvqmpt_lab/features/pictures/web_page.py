@@ -83,8 +83,16 @@ def path_html(
     return _html(drawing if times is None else replace(drawing, times=times))
 
 
-def _html(drawing: Drawing, size: tuple[int, int] = (1100, 600)) -> str:
-    """Text of the html page.
+def _html(drawing: Drawing) -> str:
+    """Text of the html page."""
+    # "<" is escaped, because "</script>" in a name would end the script element
+    text = json.dumps(page_data(drawing), allow_nan=False).replace("<", "\\u003c")
+    page = PAGE_TEMPLATE.read_text(encoding="utf-8")
+    return page.replace(PAGE_DATA_ELEMENT, PAGE_DATA_ELEMENT.replace("{}", text))
+
+
+def page_data(drawing: Drawing, size: tuple[int, int] = (1100, 600)) -> dict[str, Any]:
+    """Return what the page's viewer reads, as plain data.
 
     Args:
         drawing: the drawing.
@@ -106,7 +114,7 @@ def _html(drawing: Drawing, size: tuple[int, int] = (1100, 600)) -> str:
     labels = list(drawing.labels)
     if drawing.times is not None:
         labels = [f"{name}, {t:.1f} s" for name, t in zip(labels, drawing.times, strict=True)]
-    data = {
+    return {
         "title": drawing.title,
         "lines": list(drawing.lines),
         "unseen": list(drawing.unseen),
@@ -142,10 +150,6 @@ def _html(drawing: Drawing, size: tuple[int, int] = (1100, 600)) -> str:
         ],
         "plots": [_plot(plot) for plot in drawing.plots],
     }
-    # "<" is escaped, because "</script>" in a name would end the script element
-    text = json.dumps(data, allow_nan=False).replace("<", "\\u003c")
-    page = PAGE_TEMPLATE.read_text(encoding="utf-8")
-    return page.replace(PAGE_DATA_ELEMENT, PAGE_DATA_ELEMENT.replace("{}", text))
 
 
 def _base64(array: np.ndarray) -> str:

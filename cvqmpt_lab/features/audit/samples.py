@@ -1,0 +1,171 @@
+"""Faults of a recording that its samples show: stamps, gaps, jumps, drift, swapped joints, units.
+
+Each rule has thresholds that are stated here and measured in docs/audit.md.
+"""
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+GAP = 1.5  # a step of time that is longer than this many periods is a gap
+# a jump is a step of a joint that is larger than this in one period [rad or m], ...
+JUMP = 0.05
+JUMP_RATIO = 6.0  # ... and this many times the steps two samples before and after
+DRIFT = 0.1  # growth of the difference of measured and commanded positions [rad or m]
+DRIFT_PARTS = 6  # parts of an episode in which it must grow, one after the other
+SWAPPED = 0.1  # mean difference of two joints that are compared with each other [rad or m]
+SMALL_UNIT = 3.2  # a recording in degrees or per cent whose values are all smaller is in radians
+LEAST_MOVED = 0.05  # a recording that moves less than this [unit of the file] says nothing of units
+
+
+class SampleFault(NamedTuple):
+    """A fault of the samples of a recording."""
+
+    kind: str
+    text: str
+    at_s: float | None = None  # time [s]
+    joint: str = ""
+
+
+def stamp_faults(times: np.ndarray, period: float) -> Iterator[SampleFault]:
+    """Yield repeated stamps and gaps of times (m,) [s]; period: usual step of time [s]."""
+    steps = np.diff(times)
+    wrong = np.flatnonzero(~(steps > 0.0))
+    if len(wrong):
+        k = int(wrong[0])
+        what = "repeats" if steps[k] == 0.0 else "is before"
+        yield SampleFault(
+            "stamps",
+            f"{len(wrong)} stamps do not increase: the one of sample {k + 1} {what} that of the "
+            "sample before",
+            float(times[k]),
+        )
+    long = np.flatnonzero(steps > GAP * period)
+    if len(long):
+        k = int(steps.argmax())
+        yield SampleFault(
+            "gap",
+            f"{len(long)} gaps in time, the longest of {steps[k]:.3g} s, where samples are "
+            f"{period:.3g} s apart",
+            float(times[long[0]]),
+        )
+
+
+def jump_faults(
+    states: np.ndarray, times: np.ndarray, period: float, names: Sequence[str]
+) -> Iterator[SampleFault]:
+    """Yield the largest jump of joints; the text counts all.
+
+    Args:
+        states: (m, n) [rad or m].
+        times: (m,) increasing [s].
+        period: usual step of time [s].
+        names: of the n joints.
+    """
+    if len(states) < 6:
+        return
+    steps = np.abs(np.diff(states, axis=0)) / np.diff(times)[:, None] * period
+    beside = np.zeros_like(steps)
+    beside[2:] = steps[:-2]
+    beside[:-2] = np.maximum(beside[:-2], steps[2:])
+    jumps = (steps > JUMP) & (steps > JUMP_RATIO * beside)
+    if jumps.any():
+        k, joint = np.unravel_index(int(np.where(jumps, steps, 0.0).argmax()), steps.shape)
+        yield SampleFault(
+            "jump",
+            f"{names[joint]} jumps by {steps[k, joint]:.3g} between two samples, {int(jumps.sum())}"
+            " such jumps",
+            float(times[k]),
+            names[joint],
+        )
+
+
+def pair_faults(
+    states: np.ndarray, other: np.ndarray, times: np.ndarray, names: Sequence[str]
+) -> Iterator[SampleFault]:
+    """Yield faults that commanded and measured positions show together: swapped joints, drift.
+
+    Args:
+        states: (m, n) [rad or m].
+        other: (m, n) the other one of commanded and measured positions.
+        times: (m,) [s].
+        names: of the n joints.
+    """
+    # (n, n) mean distance of each joint from each joint of the other
+    apart = np.abs(states[:, :, None] - other[:, None, :]).mean(axis=0)
+    own = np.diag(apart)
+    for i in range(len(names)):
+        for j in range(i + 1, len(names)):
+            crossed = apart[i, j] + apart[j, i]
+            if own[i] + own[j] > 2.0 * SWAPPED and crossed < 0.3 * (own[i] + own[j]):
+                yield SampleFault(
+                    "swapped",
+                    f"{names[i]} and {names[j]} are swapped: each follows the other's commands",
+                    None,
+                    names[i],
+                )
+                return
+    if len(states) < 5 * DRIFT_PARTS:
+        return
+    parts = np.array_split(states - other, DRIFT_PARTS)
+    medians = np.array([np.median(part, axis=0) for part in parts])
+    grown = medians[-1] - medians[0]
+    steady = (np.diff(medians, axis=0) * np.sign(grown) > 0.0).all(axis=0)
+    drifts = np.where(steady, np.abs(grown), 0.0)
+    joint = int(drifts.argmax())
+    if drifts[joint] > DRIFT:
+        yield SampleFault(
+            "drift",
+            f"measured and commanded positions of {names[joint]} drift apart by "
+            f"{drifts[joint]:.3g}",
+            float(times[-1]),
+            names[joint],
+        )
+
+
+def unit_faults(
+    raw: np.ndarray, units: str, names: Sequence[str], shares: Sequence[bool]
+) -> Iterator[SampleFault]:
+    """Yield values that are too small for degrees or per cent: of radians, or from 0 to 1.
+
+    Args:
+        raw: (m, n) values as recorded.
+        units: stated unit.
+        names: of the n joints.
+        shares: (n,) which joints go from 0 to 100, as LeRobot's grippers.
+    """
+    if units == "radians":
+        return
+    share = np.array(shares, dtype=bool)
+    most, moved = np.abs(raw).max(axis=0), np.ptp(raw, axis=0)
+    if (~share).any() and most[~share].max() <= SMALL_UNIT and moved[~share].max() > LEAST_MOVED:
+        yield SampleFault(
+            "units",
+            f"all values are at most {most[~share].max():.3g}: radians? They are stated as {units}",
+        )
+    for k in np.flatnonzero(share & (most <= 1.05) & (moved > 0.3)).tolist():
+        yield SampleFault(
+            "gripper",
+            f"{names[k]} moves between {raw[:, k].min():.3g} and {raw[:, k].max():.3g}: from 0 to "
+            "1? LeRobot's go from 0 to 100",
+            None,
+            names[k],
+        )
+
+
+def least_jerk(states: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return jerks (m - 3, n) that every smooth curve through the samples reaches, and times.
+
+    Between t_0 and t_3 the third derivative of any curve with a continuous one is 6 q[t_0, ..,
+    t_3] somewhere, a divided difference.
+
+    Args:
+        states: (m, n) [rad or m].
+        times: (m,) increasing [s].
+    """
+    difference = states
+    for order in (1, 2, 3):
+        spans = (times[order:] - times[:-order])[:, None]
+        difference = np.diff(difference, axis=0) / spans
+    return 6.0 * difference, times[:-3]
