@@ -132,4 +132,4 @@ def _data(auditor: Auditor, episode: Episode, row: Row) -> dict[str, Any] | None
         verdict=row.verdict,
         lines=[row.name, row.fault or "no fault"],
     )
-    return page_data(replace(drawing, times=moments, title=f"{row.name}: {row.verdict}"))
+    return page_data(replace(drawing, times=moments, title=f"{row.name}: {row.verdict}"), layers=())

@@ -204,8 +204,8 @@ def _finished(
         auditor = Auditor(settings)
         for job in work:
             with one_thread():
-                rows = rows_of(job, auditor)
-            yield job, rows
+                found = rows_of(job, auditor)
+            yield job, found
         return
     waiting, broken = list(work), set[Job]()
     while waiting:

@@ -11,12 +11,14 @@ import numpy as np
 GAP = 1.5  # a step of time that is longer than this many periods is a gap
 # a jump is a step of a joint that is larger than this in one period [rad or m], ...
 JUMP = 0.05
-JUMP_RATIO = 6.0  # ... and this many times the steps two samples before and after
+JUMP_RATIO = 4.0  # ... and this many times the steps two samples before and after
 DRIFT = 0.1  # growth of the difference of measured and commanded positions [rad or m]
 DRIFT_PARTS = 6  # parts of an episode in which it must grow, one after the other
+MOST_LATE = 15  # samples by which measured positions may be later than commands, or earlier
 SWAPPED = 0.1  # mean difference of two joints that are compared with each other [rad or m]
 SMALL_UNIT = 3.2  # a recording in degrees or per cent whose values are all smaller is in radians
 LEAST_MOVED = 0.05  # a recording that moves less than this [unit of the file] says nothing of units
+LEAST_VALUES = 15  # a gripper that rests has fewer different values, the steps of its encoder
 
 
 class SampleFault(NamedTuple):
@@ -71,7 +73,7 @@ def jump_faults(
     beside[:-2] = np.maximum(beside[:-2], steps[2:])
     jumps = (steps > JUMP) & (steps > JUMP_RATIO * beside)
     if jumps.any():
-        k, joint = np.unravel_index(int(np.where(jumps, steps, 0.0).argmax()), steps.shape)
+        k, joint = divmod(int(np.where(jumps, steps, 0.0).argmax()), steps.shape[1])
         yield SampleFault(
             "jump",
             f"{names[joint]} jumps by {steps[k, joint]:.3g} between two samples, {int(jumps.sum())}"
@@ -92,6 +94,7 @@ def pair_faults(
         times: (m,) [s].
         names: of the n joints.
     """
+    states, other, times = _together(states, other, times)
     # (n, n) mean distance of each joint from each joint of the other
     apart = np.abs(states[:, :, None] - other[:, None, :]).mean(axis=0)
     own = np.diag(apart)
@@ -124,6 +127,49 @@ def pair_faults(
         )
 
 
+def _together(
+    states: np.ndarray, other: np.ndarray, times: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return states, the others and times without the delay of measured after commanded ones.
+
+    The delay is the one, of at most MOST_LATE samples, with the least change of the difference.
+    """
+
+    def shifted(late: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        m = len(states) - abs(late)
+        begin, after = max(-late, 0), max(late, 0)
+        return states[begin : begin + m], other[after : after + m], times[begin : begin + m]
+
+    def change(late: int) -> float:
+        first, second, _ = shifted(late)
+        return float(np.abs(np.diff(first - second, axis=0)).mean())
+
+    most = min(MOST_LATE, len(states) // 4)
+    return shifted(min(range(-most, most + 1), key=lambda late: (change(late), abs(late))))
+
+
+def resolution(states: np.ndarray) -> np.ndarray:
+    """Return the steps (n,) in which joints are recorded, such as those of an encoder [rad or m].
+
+    It is 0 for a joint whose values are no multiples of their least difference, and for one that
+    does not move.
+
+    states: (m, n) [rad or m].
+    """
+    steps = np.zeros(states.shape[1])
+    for j, column in enumerate(states.T):
+        values = np.unique(column)
+        apart = np.diff(values)
+        apart = apart[apart > 1e-6]  # float32 repeats a value with rounding
+        if len(apart) < 3:
+            continue
+        step = float(np.median(apart[apart < 1.5 * apart.min()]))
+        off = np.abs((values - values[0]) / step - np.round((values - values[0]) / step))
+        if off.max() < 0.1:
+            steps[j] = step
+    return steps
+
+
 def unit_faults(
     raw: np.ndarray, units: str, names: Sequence[str], shares: Sequence[bool]
 ) -> Iterator[SampleFault]:
@@ -144,7 +190,9 @@ def unit_faults(
             "units",
             f"all values are at most {most[~share].max():.3g}: radians? They are stated as {units}",
         )
-    for k in np.flatnonzero(share & (most <= 1.05) & (moved > 0.3)).tolist():
+    for k in np.flatnonzero(share & (most <= 1.05) & (moved > LEAST_MOVED)).tolist():
+        if len(np.unique(raw[:, k])) < LEAST_VALUES:
+            continue
         yield SampleFault(
             "gripper",
             f"{names[k]} moves between {raw[:, k].min():.3g} and {raw[:, k].max():.3g}: from 0 to "

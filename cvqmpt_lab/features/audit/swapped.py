@@ -13,7 +13,7 @@ from cvqmpt_lab.features.audit.rows import NOT_READ, REFUSED, Row
 
 LEAST_EPISODES = 8
 SPREAD = 0.05  # [rad or m]
-FAR, NEAR = 8.0, 3.0  # spreads from the other episodes before and after the joints change places
+FAR, NEAR = 5.0, 3.0  # spreads from the other episodes before and after the joints change places
 
 
 def with_swapped_joints(rows: Sequence[Row]) -> list[Row]:

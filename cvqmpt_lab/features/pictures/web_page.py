@@ -91,12 +91,17 @@ def _html(drawing: Drawing) -> str:
     return page.replace(PAGE_DATA_ELEMENT, PAGE_DATA_ELEMENT.replace("{}", text))
 
 
-def page_data(drawing: Drawing, size: tuple[int, int] = (1100, 600)) -> dict[str, Any]:
+def page_data(
+    drawing: Drawing,
+    size: tuple[int, int] = (1100, 600),
+    layers: Sequence[str] = ("goals", "path", "constraint", "hand"),
+) -> dict[str, Any]:
     """Return what the page's viewer reads, as plain data.
 
     Args:
         drawing: the drawing.
         size: width and height [pixels] for which the initial viewpoint is chosen.
+        layers: what is drawn beside robot and scene.
     """
     # choose a viewpoint that shows the robot at the start of a task, or at both ends of a path
     ends = (0,) if drawing.times is not None else (0, len(drawing.labels) - 1)
@@ -107,7 +112,7 @@ def page_data(drawing: Drawing, size: tuple[int, int] = (1100, 600)) -> dict[str
     inside = [mesh_in_view(drawing.moving, k) for k in range(0, count, max(1, count // 10))]
     torso = mesh_of(body for body in robot if body.torso)
     viewpoint = clear_viewpoint(views, mesh_of(drawing.scene), size, inside, torso)
-    bodies = drawing.bodies("goals", "path", "constraint", "hand")
+    bodies = drawing.bodies(*layers)
     meshes = list(dict.fromkeys(body.mesh for body in bodies))
     offset = np.subtract(viewpoint.eye, viewpoint.target)
     distance = float(np.linalg.norm(offset))
