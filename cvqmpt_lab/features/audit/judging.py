@@ -30,7 +30,7 @@ from cvqmpt_lab.features.motion.motion_check import dry_run
 from cvqmpt_lab.features.motion.trajectory import Motion
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import robot_from_source
-from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.robot.robot import JointLimits, Robot
 from cvqmpt_lab.scene.scene_files import read_scene
 
 # a recording begins and ends anywhere, on the move, and its motion is smooth
@@ -141,7 +141,7 @@ class Auditor:
             faults.append(SampleFault(kind, str(error), None, _named(str(error), made.robot)))
             return _row(file, episode, made, faults, known, None)
         steps = resolution(made.motion.positions)
-        explained = _explained(found, made, steps)
+        explained = _explained(found, made, problem.robot.joint_limits, steps)
         of_motion = _faults_of(found, made.robot)
         faults += [fault for fault in of_motion if fault.kind not in explained]
         faults += _jerk_faults(made, steps)
@@ -252,7 +252,9 @@ def _faults_of(found: DryRun, robot: Robot) -> Iterator[SampleFault]:
         yield SampleFault(str(fault.kind), fault.text, at, _named(fault.text, robot))
 
 
-def _explained(found: DryRun, made: Prepared, steps: np.ndarray) -> dict[str, str]:
+def _explained(
+    found: DryRun, made: Prepared, limits: JointLimits, steps: np.ndarray
+) -> dict[str, str]:
     """Return which limits are exceeded by no more than the steps of the encoders explain.
 
     Positions are known to half a step r / 2. Where they alternate by it, a spline through samples
@@ -263,12 +265,13 @@ def _explained(found: DryRun, made: Prepared, steps: np.ndarray) -> dict[str, st
     Args:
         found: the check.
         made: the episode; with velocities in the file, nothing is explained.
+        limits: of the joints.
         steps: (n,) of the encoders, see `resolution` [rad or m].
 
     Returns:
         A note by the kind of limit.
     """
-    limits, notes = made.robot.joint_limits, dict[str, str]()
+    notes = dict[str, str]()
     moved = np.ptp(made.motion.positions, axis=0) > 0.0
     if made.motion.velocities is not None or not moved.any():
         return notes

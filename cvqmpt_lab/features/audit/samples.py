@@ -43,9 +43,13 @@ def stamp_faults(times: np.ndarray, period: float) -> Iterator[SampleFault]:
             "sample before",
             float(times[k]),
         )
-    long = np.flatnonzero(steps > GAP * period)
+    # after r stamps that do not increase, a step spans r + 1 samples
+    spans, run = np.ones(len(steps)), 0
+    for k, step in enumerate(steps):
+        spans[k], run = 1 + run, 0 if step > 0.0 else run + 1
+    long = np.flatnonzero(steps > GAP * period * spans)
     if len(long):
-        k = int(steps.argmax())
+        k = int(long[steps[long].argmax()])
         yield SampleFault(
             "gap",
             f"{len(long)} gaps in time, the longest of {steps[k]:.3g} s, where samples are "
@@ -94,7 +98,6 @@ def pair_faults(
         times: (m,) [s].
         names: of the n joints.
     """
-    states, other, times = _together(states, other, times)
     # (n, n) mean distance of each joint from each joint of the other
     apart = np.abs(states[:, :, None] - other[:, None, :]).mean(axis=0)
     own = np.diag(apart)
@@ -109,6 +112,7 @@ def pair_faults(
                     names[i],
                 )
                 return
+    states, other, times = _together(states, other, times)
     if len(states) < 5 * DRIFT_PARTS:
         return
     parts = np.array_split(states - other, DRIFT_PARTS)
@@ -151,8 +155,8 @@ def _together(
 def resolution(states: np.ndarray) -> np.ndarray:
     """Return the steps (n,) in which joints are recorded, such as those of an encoder [rad or m].
 
-    It is 0 for a joint whose values are no multiples of their least difference, and for one that
-    does not move.
+    It is 0 for a joint whose differences are no multiples of the least one, or of a half, third or
+    quarter of it, and for one that does not move.
 
     states: (m, n) [rad or m].
     """
@@ -163,10 +167,13 @@ def resolution(states: np.ndarray) -> np.ndarray:
         apart = apart[apart > 1e-6]  # float32 repeats a value with rounding
         if len(apart) < 3:
             continue
-        step = float(np.median(apart[apart < 1.5 * apart.min()]))
-        off = np.abs((values - values[0]) / step - np.round((values - values[0]) / step))
-        if off.max() < 0.1:
-            steps[j] = step
+        least = float(np.median(apart[apart < 1.25 * apart.min()]))
+        for parts in (1, 2, 3, 4):  # a fast joint may have no two neighbouring values
+            counts = np.round(apart * parts / least)
+            step = float(apart.sum() / counts.sum())  # rounding of float32 averages out
+            if np.abs(apart / step - counts).max() < 0.1:
+                steps[j] = step
+                break
     return steps
 
 
