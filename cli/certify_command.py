@@ -51,6 +51,10 @@ from cvqmpt_lab.scene.scene_files import read_attachments, read_scene
 
 def run(args: argparse.Namespace) -> int:
     """Certify and print; return 1 if anything is refused or not proven."""
+    if args.path.suffix == ".parquet" or (args.path / "meta" / "info.json").is_file():
+        raise InvalidInputError(
+            f"{args.path} belongs to a data set; give its folder: cvqmpt audit FOLDER --robot NAME"
+        )
     if args.path.is_dir() and not is_bag(args.path):
         why = "goes with one motion; give its file"
         refuse_given(args, ["save", "request", "scene", "attachments"], why)

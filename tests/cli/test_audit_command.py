@@ -61,5 +61,8 @@ def test_what_is_missing_is_asked_for(tmp_path, capsys):
     words = ["--robot", "so-arm101", "--units", "degrees"]
     assert "is inside of" in refused(capsys, "audit", root, *words, "--out", root / "out")
     assert "is no folder" in refused(capsys, "audit", root / "data" / "none", *words)
+    assert "cvqmpt audit" in refused(capsys, "certify", root, "--robot", "panda")
+    (file,) = root.rglob("*.parquet")
+    assert "cvqmpt audit" in refused(capsys, "certify", file, "--robot", "panda")
     assert "'speed'" in refused(capsys, "audit", root, *words, "--column", "speed")
     assert "No such file" in refused(capsys, "audit", root, *words, "--scene", tmp_path / "s.json")
