@@ -359,7 +359,7 @@ def measured(folder: Path, arm: Arm, count: int) -> Iterator[list[object]]:
         arm: the arm.
         count: planted episodes of each kind.
     """
-    maker = Maker(arm, seed=0)
+    maker = Maker(arm, seed=1)  # thresholds were chosen by episodes of seed 0
     clean = [maker.clean() for _ in range(CLEAN)]
     lint = _lint(arm, clean)
     for column in ("action", "observation.state"):
