@@ -14,7 +14,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import NamedTuple
 
-from cvqmpt_lab.base.errors import InvalidInputError
+from cvqmpt_lab.base.errors import InvalidInputError, few
 from cvqmpt_lab.base.modules import Code, allow_code
 from cvqmpt_lab.base.processes import end_with_parent, one_thread
 from cvqmpt_lab.features.audit.episodes import Source, episodes_of, find_sources
@@ -24,6 +24,9 @@ from cvqmpt_lab.features.audit.rows import NOT_READ, REFUSED, Row, read_rows, wr
 from cvqmpt_lab.features.audit.swapped import with_swapped_joints
 
 ROWS_FILE = "rows.csv"
+UNFINISHED = "~"  # behind the key of rows of a file that was not finished
+EPISODES_OF_A_JOB = 50
+MOST_PARTS = 64  # shares of one file
 SAVED_EVERY_S = 5.0  # unfinished audits are written at most this often
 Progress = Callable[[int, int, str], None]
 
@@ -35,6 +38,7 @@ class Job(NamedTuple):
     part: int  # this one of `parts`
     parts: int
     key: str  # digest of file and settings
+    have: frozenset[str] = frozenset()  # episodes whose rows are kept
 
 
 def audit(
@@ -62,7 +66,7 @@ def audit(
     Auditor(settings)  # refuses wrong settings before anything is judged
     sources, stated = find_sources(folder), _digest_of(settings)
     kept = {} if out is None else _kept(out)
-    found, work = dict[str, list[Row]](), list[Job]()
+    found, ended, work = dict[str, list[Row]](), dict[str, list[Row]](), list[Job]()
     for source in sources:
         try:
             key = hashlib.sha256(f"{source.digest} {stated}".encode()).hexdigest()[:16]
@@ -73,24 +77,26 @@ def audit(
         if old and all(row.key == key for row in old):
             found[source.name] = old
             continue
-        # files of several episodes are shared by the processes
-        parts = 1 if source.root is None else _parts(source, jobs)
-        work += [Job(source, part, parts, key) for part in range(parts)]
-    ended, saved = dict[str, list[Row]](), time.monotonic()
+        half = [row for row in old if row.key == key + UNFINISHED and row.episode]
+        ended[source.name] = [replace(row, key=key) for row in half]
+        parts = _parts(source, len(sources), jobs)
+        have = frozenset(row.episode for row in half)
+        work += [Job(source, part, parts, key, have) for part in range(parts)]
+    saved = time.monotonic()
     left = {job.source.name: job.parts for job in work}
     try:
         for job, rows in _finished(work, settings, jobs):
-            ended.setdefault(job.source.name, []).extend(rows)
+            ended[job.source.name] += rows
             left[job.source.name] -= 1
             if not left[job.source.name]:
                 found[job.source.name] = ended.pop(job.source.name)
             progress(len(found), len(sources), job.source.name)
             if out is not None and time.monotonic() - saved > SAVED_EVERY_S:
-                write_rows(out / ROWS_FILE, _ordered(found))
+                write_rows(out / ROWS_FILE, _ordered(found | _unfinished(ended)))
                 saved = time.monotonic()
     finally:  # an interrupted audit is continued by the same command
-        if out is not None and found:
-            write_rows(out / ROWS_FILE, _ordered(found))
+        if out is not None and (found or ended):
+            write_rows(out / ROWS_FILE, _ordered(found | _unfinished(ended)))
     rows = _ordered(found)
     rows = with_swapped_joints(rows) + list(_absent(sources, rows))
     if out is not None:
@@ -98,9 +104,28 @@ def audit(
     return rows
 
 
-def _parts(source: Source, jobs: int) -> int:
-    """Return the number of shares of a file: of version 2 there is one episode in each."""
-    return 1 if source.path.stem.startswith("episode") else jobs
+def _parts(source: Source, files: int, jobs: int) -> int:
+    """Return the number of jobs of a file: of LeRobot's version 2 there is one episode in each.
+
+    Args:
+        source: the file.
+        files: number of all files.
+        jobs: number of processes, which share the episodes of a file.
+    """
+    if source.root is None or source.path.stem.startswith("episode"):
+        return 1
+    count = 0
+    with suppress(InvalidInputError):
+        count = read_info(source.root).episodes or 0
+    return max(jobs, min(count // (files * EPISODES_OF_A_JOB), MOST_PARTS))
+
+
+def _unfinished(ended: dict[str, list[Row]]) -> dict[str, list[Row]]:
+    """Return the rows of files that are not finished, marked as such."""
+    return {
+        name: [replace(row, key=row.key + UNFINISHED) for row in rows if row.episode]
+        for name, rows in ended.items()
+    }
 
 
 def _ordered(found: dict[str, list[Row]]) -> list[Row]:
@@ -145,19 +170,18 @@ def _digest_of(settings: Settings) -> str:
 
 
 def _absent(sources: Sequence[Source], rows: Sequence[Row]) -> Iterator[Row]:
-    """Yield a row for every episode that a data set counts, but whose file is not there."""
+    """Yield a row for every data set that counts episodes which no file has."""
     for root in dict.fromkeys(source.root for source in sources if source.root is not None):
         files = {source.name for source in sources if source.root == root}
+        own = [row for row in rows if row.file in files]
+        if any(not row.episode for row in own):
+            continue  # a broken file may have any of them
         with suppress(InvalidInputError):
-            count = read_info(root).episodes or 0
-            own = [row for row in rows if row.file in files]
-            if any(not row.episode for row in own):
-                continue  # a broken file may have any of them
-            have = {int(row.episode) for row in own}
-            lacking = [k for k in range(count) if k not in have]
-            for number in lacking[:1000]:
-                why = f"{INFO} counts {count} episodes, no file has this one"
-                yield Row(root.name, str(number), NOT_READ, fault=why)
+            count, have = read_info(root).episodes or 0, {int(row.episode) for row in own}
+            lacking = [str(k) for k in range(count) if k not in have]
+            if lacking:
+                why = f"{INFO} counts {count} episodes, no file has {few(lacking)}"
+                yield Row(root.name, "", NOT_READ, fault=why)
 
 
 def rows_of(job: Job, auditor: Auditor) -> list[Row]:
@@ -166,7 +190,7 @@ def rows_of(job: Job, auditor: Auditor) -> list[Row]:
     settings = auditor.settings
     try:
         for k, episode in enumerate(episodes_of(job.source, settings.column, settings.rate)):
-            if k % job.parts != job.part:
+            if k % job.parts != job.part or episode.name in job.have:
                 continue
             try:
                 row = auditor.row(file, episode)

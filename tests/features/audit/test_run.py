@@ -164,12 +164,39 @@ def test_rows_of_unchanged_files_are_kept(tmp_path, monkeypatch):
     rows = audit(root, SETTINGS, out)
     assert judged == ["data/chunk-000/episode_000001.parquet"]
     assert [row.verdict for row in rows] == ["certified", "refused", "not read"]
-    assert "counts 3 episodes" in rows[2].fault
+    assert "counts 3 episodes, no file has 2" in rows[2].fault
     judged.clear()
     audit(root, replace(SETTINGS, rate=30.0), out)  # other settings
     assert len(judged) == 2
     (out / "rows.csv").write_text("nonsense\n1,2\n")
     assert len(audit(root, SETTINGS, out)) == 3
+
+
+def test_an_interrupted_audit_goes_on_inside_of_a_file(tmp_path, monkeypatch):
+    root = write_set(tmp_path / "set", [table_of(episode(k), k) for k in range(4)])
+    out = tmp_path / "out"
+    out.mkdir()
+    monkeypatch.setattr(run, "_parts", lambda *_: 2)
+    own = run.rows_of
+
+    def broken(job, auditor):
+        if job.part == 1:
+            raise KeyboardInterrupt
+        return own(job, auditor)
+
+    monkeypatch.setattr(run, "rows_of", broken)
+    with pytest.raises(KeyboardInterrupt):
+        audit(root, SETTINGS, out)
+    assert [row.episode for row in read_rows(out / "rows.csv")] == ["0", "2"]
+    seen = list[str]()
+    row_of = run.Auditor.row
+    monkeypatch.setattr(run, "rows_of", own)
+    monkeypatch.setattr(
+        run.Auditor, "row", lambda me, file, one: seen.append(one.name) or row_of(me, file, one)
+    )
+    rows = audit(root, SETTINGS, out)
+    assert seen == ["1", "3"] and [row.episode for row in rows] == ["0", "1", "2", "3"]
+    assert len({row.key for row in rows}) == 1
 
 
 def test_two_processes_give_the_same_rows(tmp_path):
