@@ -18,7 +18,7 @@ from cvqmpt_lab.search.space import BACKENDS
 
 HEAVY = (
     "torch", "scipy.stats", "scipy.optimize", "scipy.interpolate", "scipy.ndimage", "matplotlib",
-    "cvxpy", "ompl", "PIL", "rerun", "trimesh", "collada",
+    "cvxpy", "highspy", "ompl", "PIL", "rerun", "trimesh", "collada",
     "cvqmpt_lab.paper_tables", "urllib.request",
 )  # fmt: skip
 IMPORT = "--dictionary-dir d --ar-dir a --out o"
