@@ -49,7 +49,7 @@ def problem_of_motion(
         ends = np.where(np.isfinite(states[[0, -1]]), states[[0, -1]], first)
         first, last = np.clip(ends, robot.lower, robot.upper)
     problem = PlanningProblem(
-        f"{robot.name} alone" if scene is None else scene.name,
+        scene.name if scene is not None and scene.objects else f"{robot.name} alone",
         robot,
         Scene("no obstacles", ()) if scene is None else scene,
         first,

@@ -145,6 +145,7 @@ def test_the_command_needs_a_motion_and_a_robot(tmp_path, cvqmpt, capsys, panda,
         "\n".join([",".join(header), *(",".join(map(repr, row)) for row in rows.tolist())])
     )
     assert "certificate certified" in cvqmpt(f"certify {path} --robot panda")
+    assert "problem panda alone" in cvqmpt(f"certify {path} --robot panda")
     assert "jerk used to" in cvqmpt(f"certify {path} --robot panda")
     cvqmpt(f"robot panda --velocity 0.05 --out {tmp_path / 'slow.json'}")
     assert "velocity limit" in cvqmpt(f"certify {path} --robot {tmp_path / 'slow.json'}", code=1)
