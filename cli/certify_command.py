@@ -13,9 +13,10 @@ import numpy as np
 
 from cvqmpt_lab.base.codec import from_plain
 from cvqmpt_lab.base.errors import InvalidInputError
-from cvqmpt_lab.base.files import csv_table, read_json_object, write_text
+from cvqmpt_lab.base.files import Modules, csv_table, read_json_object, write_text
 from cvqmpt_lab.base.reports import Entry, Report
 from cvqmpt_lab.base.values import Array, FloatArray
+from cvqmpt_lab.cli.motion_arguments import constraint_of
 from cvqmpt_lab.cli.options import (
     FLAG,
     REPEATED,
@@ -33,6 +34,7 @@ from cvqmpt_lab.cli.problem_arguments import (
     end_velocities,
 )
 from cvqmpt_lab.cli.problem_options import PROBLEM, ROBOT, velocity_options
+from cvqmpt_lab.features.motion.alone import problem_of_motion, robot_moving
 from cvqmpt_lab.features.motion.bags import is_bag
 from cvqmpt_lab.features.motion.judge import ClearanceAt, Judgement, clearance_along, evenly, judge
 from cvqmpt_lab.features.motion.limit_use import Ends, LimitUse, share_text
@@ -42,15 +44,20 @@ from cvqmpt_lab.features.motion.trajectory import Motion, read_motion
 from cvqmpt_lab.features.tasks.task import Task
 from cvqmpt_lab.features.tasks.world import phase_problems
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.scene.scene import Scene
-from cvqmpt_lab.scene.scene_files import read_scene
+from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.scene.scene import Scene, check_extent
+from cvqmpt_lab.scene.scene_files import read_attachments, read_scene
 
 
 def run(args: argparse.Namespace) -> int:
     """Certify and print; return 1 if anything is refused or not proven."""
+    if args.path.suffix == ".parquet" or (args.path / "meta" / "info.json").is_file():
+        raise InvalidInputError(
+            f"{args.path} belongs to a data set; give its folder: cvqmpt audit FOLDER --robot NAME"
+        )
     if args.path.is_dir() and not is_bag(args.path):
         why = "goes with one motion; give its file"
-        refuse_given(args, ["save", "request", "scene"], why)
+        refuse_given(args, ["save", "request", "scene", "attachments"], why)
     if (args.path / "task.json").is_file():
         return _certify_task(args)
     if args.path.is_dir() and not is_bag(args.path):
@@ -68,7 +75,15 @@ def run(args: argparse.Namespace) -> int:
     motion = _motion(args)
     if args.request is not None:
         return _told(args, motion, *_by_request(args, motion))
-    refuse_given(args, ["scene"], "goes with --request; a problem has its own scene")
+    if args.suite is None and args.robot is not None:
+        return _told(args, motion, *_alone(args, motion))
+    if args.suite is None:
+        raise InvalidInputError(
+            f"{args.path} is a motion of which robot? Give --robot NAME|URDF|robot.json to judge "
+            "it alone, or a problem file, a suite or --request, which have start and goals, too"
+        )
+    why = "goes with --robot alone or --request; a problem has its own"
+    refuse_given(args, ["scene", "attachments"], why)
     problem = chosen_problem(args)
     if not isinstance(problem, PlanningProblem):
         raise InvalidInputError(
@@ -136,22 +151,53 @@ def _by_request(args: argparse.Namespace, motion: Motion) -> tuple[PlanningProbl
     if args.suite:
         raise InvalidInputError("--request states start, goals and constraint; give no problem")
     unused = ["current", "start_velocity", "end_velocity", "part", "clearance", "tolerance"]
-    unused += ["constraint", "problem"]
+    unused += ["constraint", "problem", "attachments"]
     refuse_given(args, unused, "does not go with --request, which states what the motion must keep")
-    robot, scene = chosen_robot(args), Scene("no scene", ())
+    robot = chosen_robot(args)
     request = read_request(args.request, robot)
     if unstated := [name for name in robot.joint_names if name not in request.start]:
         of = f" of {', '.join(unstated)}" if request.start else ""
         log(f"the request states no start{of}: the motion may begin anywhere")
+    scene = _scene(args, robot, request.fingers)
+    return judge_request(motion, request, robot, scene, exact=True)
+
+
+def _alone(args: argparse.Namespace, motion: Motion) -> tuple[PlanningProblem, Judgement]:
+    """Judge a motion of a robot, without start and goals."""
+    refuse_given(args, ["problem"], "goes with a suite; with --robot alone, leave it out")
+    robot = robot_moving(chosen_robot(args), motion.joint_names or ())
+    carried = () if args.attachments is None else read_attachments(args.attachments)
+    scene = _scene(args, robot, {})
+    check_extent(scene, robot.reach, f"scene {args.scene}")
+    first = problem_of_motion(motion, robot).start
+    problem = problem_of_motion(
+        motion,
+        robot,
+        scene,
+        [constraint_of(text, robot, first) for text in args.constraint],
+        carried,
+        args.clearance or 0.0,
+    )
+    ends = _ends(args, motion, problem)._replace(anywhere=True)
+    return problem, judge(motion, problem, ends=ends, exact_clearance=True)
+
+
+def _scene(args: argparse.Namespace, robot: Robot, fingers: Mapping[str, float]) -> Scene:
+    """Return the obstacles of --scene; a note says that there are none without it.
+
+    Args:
+        args: parsed command line.
+        robot: the robot.
+        fingers: values of joints that the robot holds, of a scene of MoveIt [rad or m].
+    """
     if args.scene is None:
         log("no --scene is given: the motion is compared with the robot itself alone")
-    elif args.scene.suffix == ".json":
-        scene = read_scene(args.scene)
-    else:
-        from cvqmpt_lab.scene.moveit_scenes import read_moveit_scene
+        return Scene("no obstacles", ())
+    if args.scene.suffix == ".json":
+        return read_scene(args.scene)
+    from cvqmpt_lab.scene.moveit_scenes import read_moveit_scene
 
-        scene, _ = read_moveit_scene(args.scene, robot, request.fingers)
-    return judge_request(motion, request, robot, scene, exact=True)
+    return read_moveit_scene(args.scene, robot, fingers)[0]
 
 
 def _ends(args: argparse.Namespace, motion: Motion, problem: PlanningProblem) -> Ends:
@@ -162,14 +208,16 @@ def _ends(args: argparse.Namespace, motion: Motion, problem: PlanningProblem) ->
     current = None
     if args.current is not None:
         current = configuration(problem.robot, "--current", args.current)
-    if args.part and args.current is None:
+    if args.part and args.current is None and args.suite is not None:
         raise InvalidInputError(
             "--part: a part of a motion begins where the arm is: give --current"
         )
     if current is None:
         refuse_given(args, ["tolerance"], "is that of --current; give it")
     tolerance = args.tolerance or Ends().tolerance
-    return Ends(current, tolerance, *end_velocities(args, problem.robot), args.part)
+    velocities = end_velocities(args, problem.robot)
+    moving = args.part and current is None
+    return Ends(current, tolerance, *velocities, args.part, moving=moving)
 
 
 def _certify_task(args: argparse.Namespace) -> int:
@@ -285,9 +333,16 @@ OPTIONS: Options = {
         metavar="PATH.csv|json|yaml|npz|mcap|DIR",
     ),
     **PROBLEM,
+    "--constraint": option(
+        "a constraint function of your own, added to the problem; for --robot alone also a region: "
+        f"{', '.join(Modules('constraints/by_name'))}, or one as json; orientations are those at "
+        "the begin of the motion; repeatable",
+        metavar="NAME[=VALUE]|JSON|MODULE:F",
+        **REPEATED,
+    ),
     "suite": option(
         "a suite (cvqmpt problems list), or a problem or task file; for the directory of a run of "
-        "problem files, their folder",
+        "problem files, their folder; without it, --robot judges the motion alone",
         nargs="?",
         metavar="SUITE|FILE|DIR",
     ),
@@ -298,9 +353,15 @@ OPTIONS: Options = {
         metavar="R.yaml|json",
     ),
     "--scene": option(
-        "obstacles for --request: a scene, or a PlanningScene of MoveIt",
+        "obstacles for --robot alone and for --request: a scene, or a PlanningScene of MoveIt",
         type=Path,
         metavar="S.json|yaml|scene",
+    ),
+    "--attachments": option(
+        "what the hand carries, for --robot alone: a json file with a list of attachments, or one "
+        "that has the field attachments, as problem files have",
+        type=Path,
+        metavar="F.json",
     ),
     "--topic": option(
         "topic of a recording (.mcap file or rosbag2 folder); default: the only topic that has "
@@ -328,7 +389,8 @@ OPTIONS: Options = {
     **velocity_options("a trajectory", "; any with --part"),
     "--part": option(
         "judge a part of a longer motion, such as a chunk of a policy: it begins at --current, not "
-        "at the start of the problem, and need not end at a goal",
+        "at the start of the problem, and need not end at a goal; without a problem and --current "
+        "it may begin anywhere, at any velocity",
         **FLAG,
     ),
     "--json": option("print one json object instead, with every compared value", **FLAG),

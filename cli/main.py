@@ -45,6 +45,7 @@ HEADINGS: Mapping[str, Mapping[str, tuple[str, str]]] = {
     },
     "judge and run": {
         "certify": ("certify", "certify a path or trajectory, or all paths of a run again"),
+        "audit": ("audit", "judge every episode of a data set for one robot"),
         "execute": ("execute", "execute a motion or task in a physics simulation"),
     },
     "reproduce": {
@@ -99,7 +100,7 @@ SHORT = {
 }
 
 # Commands that go on where they were interrupted.
-CONTINUED = ("reproduce", "data", "train")
+CONTINUED = ("reproduce", "data", "train", "audit")
 
 # Small networks are several times slower on many threads, and runs share the cores already.
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")

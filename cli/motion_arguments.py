@@ -43,7 +43,7 @@ def motion_problem(args: argparse.Namespace) -> PlanningProblem:
     robot = chosen_robot(args)
     start = _start(args, robot)
     goals = [configuration(robot, "--goal", text) for text in args.goal]
-    constraint = tuple(_constraint(text, robot, start) for text in args.constraint)
+    constraint = tuple(constraint_of(text, robot, start) for text in args.constraint)
     if args.scene is not None:
         scene = read_scene(args.scene)
     elif not args.cloud:
@@ -88,8 +88,14 @@ def _start(args: argparse.Namespace, robot: Robot) -> np.ndarray:
     return found.configurations[0]
 
 
-def _constraint(text: str, robot: Robot, start: np.ndarray) -> Member:
-    """Return a region of NAME, NAME=VALUE (VALUE: its first field) or json, or a function."""
+def constraint_of(text: str, robot: Robot, start: np.ndarray) -> Member:
+    """Return a region of NAME, NAME=VALUE (VALUE: its first field) or json, or a function.
+
+    Args:
+        text: the option's value.
+        robot: the robot.
+        start: (n,) where the hand has the orientation that some regions keep [rad or m].
+    """
     if is_function(text):
         from cvqmpt_lab.constraints.function_files import function_given  # few commands have one
 

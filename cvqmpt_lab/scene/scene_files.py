@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import Any
 
 from cvqmpt_lab.base.codec import from_plain
-from cvqmpt_lab.base.errors import located
-from cvqmpt_lab.base.files import read_json_object
+from cvqmpt_lab.base.errors import InvalidInputError, located
+from cvqmpt_lab.base.files import json_value, read_json_object, read_text
 from cvqmpt_lab.robot.source import with_absolute_paths
 from cvqmpt_lab.scene.cells import map_of_points
-from cvqmpt_lab.scene.scene import Scene
+from cvqmpt_lab.scene.scene import Attachment, Scene
 from cvqmpt_lab.scene.shapes import (
     SHAPES_BY_PATH,
     CloudFile,
@@ -56,6 +56,21 @@ def read_scene(path: Path | str) -> Scene:
     data = _scene(read_json_object(path, "scene"), path.parent)
     with located(f"scene {path}"):
         return from_plain(Scene, data)
+
+
+def read_attachments(path: Path | str) -> tuple[Attachment, ...]:
+    """Read what a hand carries: a list in a JSON file, or its field "attachments"."""
+    path = Path(path)
+    data = json_value(read_text(path, "attachments"), f"attachments {path}")
+    items = data.get("attachments") if isinstance(data, Mapping) else data
+    if not isinstance(items, list) or not items:
+        raise InvalidInputError(
+            f"attachments {path}: it has no list of attachments; write "
+            '[{"name", "shape", "T_hand_object"}]'
+        )
+    with located(f"attachments {path}"):
+        items, _ = _expanded(items, path.parent, "attachments")
+        return from_plain(tuple[Attachment, ...], items)
 
 
 def named_files(data: Mapping[str, Any], folder: Path) -> Iterator[Path]:

@@ -1,13 +1,17 @@
 """Judgement of a motion that somebody else made: whole, or in parts as a policy sends them."""
 
-from collections.abc import Iterator
-from typing import NamedTuple
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from cvqmpt_lab.base.errors import InvalidInputError, require_kind
 from cvqmpt_lab.base.polyline import distances_along, states_at
+from cvqmpt_lab.base.values import Array
 from cvqmpt_lab.certificate.certificate import Fault
 from cvqmpt_lab.collision.exact import checker_of
+from cvqmpt_lab.constraints.region_constraint import Member
+from cvqmpt_lab.features.motion.alone import problem_of_motion
 from cvqmpt_lab.features.motion.checked_curves import DryRun
 from cvqmpt_lab.features.motion.limit_use import Ends
 from cvqmpt_lab.features.motion.motion_check import (
@@ -17,6 +21,10 @@ from cvqmpt_lab.features.motion.motion_check import (
 )
 from cvqmpt_lab.features.motion.trajectory import JointState, Motion
 from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.robot.joint_states import is_joint_state
+from cvqmpt_lab.robot.load import numbers_of
+from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.scene.scene import Attachment, Scene
 
 
 class Judgement(NamedTuple):
@@ -82,31 +90,76 @@ def evenly(check: DryRun, count: int) -> tuple[np.ndarray, np.ndarray]:
 
 def judge(
     motion: Motion,
-    problem: PlanningProblem,
-    last: JointState | None = None,
+    problem: PlanningProblem | Robot,
+    last: JointState | Any = None,
     ends: Ends | None = None,
     exact_clearance: bool = False,
     more_faults: StateFaults | None = None,
+    *,
+    scene: Scene | None = None,
+    constraint: Sequence[Member] = (),
+    attachments: Sequence[Attachment] = (),
 ) -> Judgement:
     """Judge a path or trajectory: free, on the manifold, within limits, start and goal right.
 
     Args:
         motion: the motion, see `read_motion`.
-        problem: start, goals, constraint, robot and scene.
+        problem: start, goals, constraint, robot and scene; or a robot alone: the motion may then
+            begin and end anywhere.
         last: positions and velocities (n,) of the arm where a part of a longer motion begins, such
-            as a chunk of a policy; it need not end at a goal. None: the motion is whole.
+            as a chunk of a policy; it need not end at a goal. JointState(q, v), or ROS's message
+            of this name. None: the motion is whole.
         ends: begin and end of the motion, instead of `last`; None: at rest, at the start and at a
             goal.
         exact_clearance: whether least distances are measured; this takes two to three times as
             long. Else they are lower bounds.
         more_faults: as in `dry_run`.
+        scene: obstacles, for a robot alone; None: there are none.
+        constraint: regions and functions that every state must keep, for a robot alone.
+        attachments: what the hand carries, for a robot alone.
 
     Raises InvalidInputError as `dry_run`.
     """
+    require_kind("motion", motion, Motion, "give Motion(joint_names, positions, times)")
+    if isinstance(problem, Robot):
+        problem = problem_of_motion(motion, problem, scene, constraint, attachments)
+        ends = (ends or Ends())._replace(anywhere=True)
+    elif scene is not None or constraint or attachments:
+        raise InvalidInputError(
+            "scene, constraint and attachments go with a robot alone; a problem has its own"
+        )
+    require_kind("problem", problem, PlanningProblem, "give a PlanningProblem or a Robot")
     if last is not None:
-        ends = Ends(last.positions, start_velocity=last.velocities, part=True)
+        state = joint_state(last, problem.robot)
+        ends = Ends(state.positions, start_velocity=state.velocities, part=True)
     found = dry_run(problem, motion, ends, exact_clearance, more_faults)
     speed = 1.0 if found.certificate.valid else None
     if speed is None and found.limits_alone:
         speed = speed_within_limits(problem, motion, ends)
     return Judgement(found, speed)
+
+
+def joint_state(given: Any, robot: Robot) -> JointState:
+    """Return positions and velocities (n,) of a JointState, or of ROS's message with this name.
+
+    Args:
+        given: JointState(q, v), a pair (q, v), or a mapping or message with name, position and
+            velocity; velocities that are not given are 0.
+        robot: the robot with n joints.
+    """
+    fields = ("name", "position", "velocity")
+    if not isinstance(given, Mapping | tuple | list) and hasattr(given, "position"):
+        given = {field: list(getattr(given, field, ())) for field in fields}
+    if isinstance(given, Mapping):
+        if not is_joint_state(given):
+            raise InvalidInputError("last is no JointState: give name and position, or (q, v)")
+        state = given.get("joint_state", given)
+        speeds = state.get("velocity") or [0.0] * len(state["position"])
+        rates = {"name": state["name"], "position": speeds}
+        given = numbers_of(robot, given, "last"), numbers_of(robot, rates, "last: velocity")
+    if not isinstance(given, tuple | list) or not 1 <= len(given) <= 3:
+        raise InvalidInputError("last is no state: give JointState(q, v)")
+    form = Array((robot.dof,), f"numbers, one each for {', '.join(robot.joint_names)}")
+    positions, velocities = (*given, None)[:2]
+    still = np.zeros(robot.dof) if velocities is None else velocities
+    return JointState(form.read(positions, "last: q"), form.read(still, "last: v"))

@@ -39,6 +39,8 @@ LIMIT_OVERSHOOT = {
 # what its acceleration limit gives in this time, a period of a controller at 100 Hz
 JUMP_SHARE = 0.1
 JUMP_PERIOD_S = 0.01
+# of velocity and acceleration, where nobody states a limit [rad/s, rad/s^2 or m/s, m/s^2]
+UNKNOWN_LIMIT = 1e9
 
 
 class LimitUse(NamedTuple):
@@ -55,6 +57,11 @@ class LimitUse(NamedTuple):
     def share(self) -> float:
         """Value over limit; above 1 the limit is exceeded."""
         return self.value / self.limit
+
+    @property
+    def known(self) -> bool:
+        """Whether the limit was stated, or follows from limits that were."""
+        return self.limit < JUMP_PERIOD_S * UNKNOWN_LIMIT
 
     @property
     def exceeded(self) -> bool:
@@ -107,6 +114,12 @@ class Ends(NamedTuple):
     # a part of a longer motion, such as a chunk of a policy: it begins at the current state, and
     # need not end at a goal
     part: bool = False
+    # whether it may begin and end anywhere: start and goals of the problem say nothing
+    anywhere: bool = False
+    # whether a part may already move at its begin, at any velocity; without `start_velocity`
+    moving: bool = False
+    # whether straight lines between positions without velocities are checked beside the spline
+    lines: bool = True
 
 
 def position_use(robot: Robot, states: np.ndarray, times: np.ndarray) -> Iterator[LimitUse]:
@@ -184,6 +197,8 @@ def jump_uses(curve: PPoly, robot: Robot, ends: Ends) -> Iterator[LimitUse]:
     slopes = curve.c[-2]
     still = np.zeros_like(slopes[0])
     before = still if ends.start_velocity is None else ends.start_velocity
+    if ends.moving and ends.start_velocity is None:
+        before = slopes[0]
     after = still if ends.end_velocity is None else ends.end_velocity
     if ends.part and ends.end_velocity is None:
         after = slopes[-1]
@@ -346,7 +361,8 @@ def rest_faults(name: str, curve: PPoly, robot: Robot, last: float, ends: Ends) 
         ("begins", 0.0, (0, 0), ends.start_velocity),
         ("ends", last, (-1, -1), ends.end_velocity),
     ):
-        if what == "ends" and ends.part and given is None:
+        unasked = ends.part if what == "ends" else ends.moving
+        if unasked and given is None:
             continue
         asked = np.zeros(len(limits.joint_names)) if given is None else given
         kinds = [(FaultKind.VELOCITY, "moves at", "rad/s", limits.velocity, velocity[row] - asked)]

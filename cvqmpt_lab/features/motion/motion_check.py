@@ -154,7 +154,7 @@ def dry_run(
         if usable and more_faults:
             faults += more_faults(states)
         return DryRun(_with_faults(certificate, faults, ends), states)
-    curves, gap = curves_of(motion, ends.start_velocity, ends.end_velocity, ends.part)
+    curves, gap = _curves(motion, ends)
     if not ends.part:  # a part may hardly move
         refuse_other_units(motion, next(iter(curves.values())), robot)
     # curves that are so close to each other have the same straight pieces
@@ -167,6 +167,15 @@ def dry_run(
             asked = [*(more_faults(straight.states) if more_faults else ()), *faults]
         runs.append(_with_uses(problem, motion, ends, name, curve, straight, asked))
     return worst_of(runs)
+
+
+def _curves(motion: Motion, ends: Ends) -> tuple[dict[str, PPoly], float]:
+    """Return the curves of a motion by name that are checked, and their largest distance."""
+    velocities = ends.start_velocity, ends.end_velocity
+    curves, gap = curves_of(motion, *velocities, ends.part, ends.moving)
+    if not ends.lines:
+        curves.pop("linear", None)
+    return curves, gap
 
 
 def _straight_run(
@@ -235,9 +244,7 @@ def speed_within_limits(
 
     def kept(percent: int) -> bool:
         slowed = motion.at_speed(0.01 * percent)
-        for name, curve in curves_of(slowed, ends.start_velocity, ends.end_velocity, ends.part)[
-            0
-        ].items():
+        for name, curve in _curves(slowed, ends)[0].items():
             uses, missing = _uses(problem, slowed, name, curve, ends)
             faults = [*missing, *rest_faults(name, curve, problem.robot, 0.0, ends)]
             if faults or any(use.exceeded for use in uses):
@@ -311,12 +318,13 @@ def _uses(
     else:
         proven += effort_uses(problem, curve)
     missing = [item for item in proven if isinstance(item, Fault)]
-    return (*found, *(item for item in proven if isinstance(item, LimitUse))), missing
+    every = (*found, *(item for item in proven if isinstance(item, LimitUse)))
+    return tuple(use for use in every if use.known), missing
 
 
 def _with_faults(certificate: Certificate, faults: Sequence[Fault], ends: Ends) -> Certificate:
-    """Return a certificate with more faults; of a part of a motion, without those of its ends."""
-    kinds = (FaultKind.START, FaultKind.GOAL) if ends.part else ()
+    """Return a certificate with more faults; without those of ends that are not asked for."""
+    kinds = (FaultKind.START, FaultKind.GOAL) if ends.part or ends.anywhere else ()
     left = (fault for fault in certificate.faults if fault.kind not in kinds)
     return replace(certificate, faults=(*faults, *left))
 

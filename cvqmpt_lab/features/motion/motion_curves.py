@@ -26,6 +26,7 @@ def curves_of(
     start_velocity: np.ndarray | None = None,
     end_velocity: np.ndarray | None = None,
     part: bool = False,
+    moving: bool = False,
 ) -> tuple[dict[str, PPoly], float]:
     """Return the curves of a motion with times by name, and their largest distance.
 
@@ -38,6 +39,7 @@ def curves_of(
         start_velocity: (n,) of a spline through positions alone [rad/s or m/s]; None: 0.
         end_velocity: the same at its end.
         part: whether an end without a velocity may have any.
+        moving: whether a begin without a velocity may have any.
     """
     assert motion.times is not None
     q, v, a = motion.positions, motion.velocities, motion.accelerations
@@ -58,8 +60,9 @@ def curves_of(
         still = np.zeros(q.shape[1])
         first, last = (still if v is None else v for v in (start_velocity, end_velocity))
         # at an end with any velocity, the second derivative is 0: a natural spline
+        begin = (2, still) if moving and start_velocity is None else (1, first)
         end = (2, still) if part and end_velocity is None else (1, last)
-        spline = CubicSpline(times, q, bc_type=((1, first), end))
+        spline = CubicSpline(times, q, bc_type=(begin, end))
         slopes = np.diff(q, axis=0) / np.diff(times)[:, None]
         lines = PPoly(np.array([slopes, q[:-1]]), times)
         return {"spline": PPoly(spline.c, times), "linear": lines}, np.inf

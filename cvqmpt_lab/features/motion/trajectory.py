@@ -50,12 +50,18 @@ log = logging.getLogger("cvqmpt")
 CSV_COLUMN_KINDS = ("position", "velocity", "acceleration")  # columns are called JOINT_kind
 
 
+NOT_GIVEN: Any = None  # a value of a state that need not be given
+
+
 class JointState(NamedTuple):
-    """Positions, velocities, accelerations [rad, rad/s, rad/s^2], (n,) or (k, n) at k times."""
+    """Positions, velocities, accelerations [rad, rad/s, rad/s^2], (n,) or (k, n) at k times.
+
+    Velocities are 0 and accelerations unknown where they are not given.
+    """
 
     positions: np.ndarray
-    velocities: np.ndarray
-    accelerations: np.ndarray
+    velocities: np.ndarray = NOT_GIVEN
+    accelerations: np.ndarray = NOT_GIVEN
 
 
 @dataclass(frozen=True, eq=False)

@@ -83,12 +83,25 @@ def path_html(
     return _html(drawing if times is None else replace(drawing, times=times))
 
 
-def _html(drawing: Drawing, size: tuple[int, int] = (1100, 600)) -> str:
-    """Text of the html page.
+def _html(drawing: Drawing) -> str:
+    """Text of the html page."""
+    # "<" is escaped, because "</script>" in a name would end the script element
+    text = json.dumps(page_data(drawing), allow_nan=False).replace("<", "\\u003c")
+    page = PAGE_TEMPLATE.read_text(encoding="utf-8")
+    return page.replace(PAGE_DATA_ELEMENT, PAGE_DATA_ELEMENT.replace("{}", text))
+
+
+def page_data(
+    drawing: Drawing,
+    size: tuple[int, int] = (1100, 600),
+    layers: Sequence[str] = ("goals", "path", "constraint", "hand"),
+) -> dict[str, Any]:
+    """Return what the page's viewer reads, as plain data.
 
     Args:
         drawing: the drawing.
         size: width and height [pixels] for which the initial viewpoint is chosen.
+        layers: what is drawn beside robot and scene.
     """
     # choose a viewpoint that shows the robot at the start of a task, or at both ends of a path
     ends = (0,) if drawing.times is not None else (0, len(drawing.labels) - 1)
@@ -99,14 +112,14 @@ def _html(drawing: Drawing, size: tuple[int, int] = (1100, 600)) -> str:
     inside = [mesh_in_view(drawing.moving, k) for k in range(0, count, max(1, count // 10))]
     torso = mesh_of(body for body in robot if body.torso)
     viewpoint = clear_viewpoint(views, mesh_of(drawing.scene), size, inside, torso)
-    bodies = drawing.bodies("goals", "path", "constraint", "hand")
+    bodies = drawing.bodies(*layers)
     meshes = list(dict.fromkeys(body.mesh for body in bodies))
     offset = np.subtract(viewpoint.eye, viewpoint.target)
     distance = float(np.linalg.norm(offset))
     labels = list(drawing.labels)
     if drawing.times is not None:
         labels = [f"{name}, {t:.1f} s" for name, t in zip(labels, drawing.times, strict=True)]
-    data = {
+    return {
         "title": drawing.title,
         "lines": list(drawing.lines),
         "unseen": list(drawing.unseen),
@@ -142,10 +155,6 @@ def _html(drawing: Drawing, size: tuple[int, int] = (1100, 600)) -> str:
         ],
         "plots": [_plot(plot) for plot in drawing.plots],
     }
-    # "<" is escaped, because "</script>" in a name would end the script element
-    text = json.dumps(data, allow_nan=False).replace("<", "\\u003c")
-    page = PAGE_TEMPLATE.read_text(encoding="utf-8")
-    return page.replace(PAGE_DATA_ELEMENT, PAGE_DATA_ELEMENT.replace("{}", text))
 
 
 def _base64(array: np.ndarray) -> str:
