@@ -159,7 +159,7 @@ def _hull(convex: Convex) -> dict[str, Any]:
     moved = np.linalg.norm(convex.points - unit * whole, axis=1).max()
     text = base64.b64encode(whole.tobytes()).decode()
     radius = round(convex.radius + float(moved) + 5e-10, 9)
-    return {"unit": unit, "radius": radius, "corners": text}
+    return {"unit": unit, "points": text, "radius": radius, "disc": 0.0}
 
 
 def _bodies(solids: Sequence[Any], T: np.ndarray) -> Iterator[dict[str, Any]]:

@@ -2,23 +2,23 @@
 
     python cvqmpt_check.py proof.json --urdf robot.urdf --motion motion.json
 
-It says yes if the proof, the URDF and the file of the motion alone show, for every moment: compared
-bodies do not touch, obstacles are farther away than the clearance, positions, velocities and
-accelerations are within the limits, and the regions of the constraint are kept. Else it says no,
-with the first inequality that fails. It also prints what is not compared and not proven. It needs
-Python 3.9 or later, numpy, and no other file. docs/proof.md describes the format.
+It says yes if the proof, the URDF and the motion's file alone show, for every moment: compared bodies
+do not touch, obstacles are farther away than the clearance, positions, velocities and accelerations
+are within the limits, and the regions of the constraint are kept. Else it says no, with the first
+inequality that fails. It prints what is not compared and not proven. It needs Python 3.9, numpy, and
+no other file. docs/proof.md describes the format.
 
-Rounding. Numbers are at most 1000 and links at most 500, which is checked. A pose is a product of
-at most 1000 matrices, each with errors of about 1e-16 times its numbers: points are off by less
-than 1e-9 m. Every inequality of lengths or angles has SLACK = 2e-9 to spare, and boxes of joint
-values are widened by it. Bezier points are halved by mean values, which do not enlarge errors.
-Errors of derivatives, differences divided by times, are added where they are computed.
+Rounding. Numbers are at most 1000 and links at most 500 (checked). A pose is a product of at most
+1000 matrices with errors of about 1e-16 of their numbers: points are off by less than 1e-9 m.
+Inequalities of lengths and angles have SLACK = 2e-9 to spare, and boxes of joint values are widened
+by it. Bezier points are halved by means, which do not enlarge errors. Errors of derivatives,
+differences divided by times, are added where they are computed.
 """
 
 import argparse
 import base64
-import csv
 import hashlib
+import itertools
 import json
 import math
 import sys
@@ -79,35 +79,32 @@ class Robot:
     """The links of a URDF. Row 0 of all poses is the world, the others are the links."""
 
     def __init__(self, root, told):
-        self.names, self.held, self.base = list(told["joints"]), told["held"], pose(told["base"])
+        self.names, self.held = list(told["joints"]), told["held"]
         self.known = {joint.get("name"): joint for joint in root.findall("joint")}
-        self.above = {joint.find("child").get("link"): joint for joint in self.known.values()}
         for name in (*self.names, *self.held):
             need(name in self.known, f"the proof is of another robot: no joint {name} in the URDF")
+        above = {joint.find("child").get("link"): joint for joint in self.known.values()}
         # of each row: row above, pose in it, unit axis, kind, planned joint, factor, offset
-        self.joints = [(0, self.base, np.zeros(3), "fixed", 0, 0.0, 0.0)]
+        self.joints = [(0, pose(told["base"]), np.zeros(3), "fixed", 0, 0.0, 0.0)]
         self.moves, self.rows = [frozenset()], {"": 0}  # joints (rows) that move each row
         links = [link.get("name") for link in root.findall("link")]
-        need(len(links) <= 500, "it has more than 500 links")
-        for link in links:
-            self.row(link)
-
-    def row(self, link):
-        """Return the row of a link; add it, after those above it."""
-        if link not in self.rows:
-            joint, entry = self.above.get(link), self.joints[0]
+        need(len(links) <= 500, "the URDF has more than 500 links")
+        for link in links:  # appended again until the link above it has a row
+            joint, entry = above.get(link), self.joints[0]
+            if joint is not None and joint.find("parent").get("link") not in self.rows:
+                links.append(link)
+                continue
             if joint is not None:
-                row, kind = self.row(joint.find("parent").get("link")), joint.get("type")
-                fixed, found = kind in ("fixed", "floating", "planar"), joint.find("axis")
-                need(fixed or kind in ("revolute", "continuous", "prismatic"), f"a {kind} joint")
-                leader = (0, 0.0, 0.0) if fixed else self.leader(joint.get("name"))
+                kind, found = joint.get("type"), joint.find("axis")
+                moving = kind in ("revolute", "continuous", "prismatic")
+                leader = self.leader(joint.get("name")) if moving else (0, 0.0, 0.0)
                 axis = array(("1 0 0" if found is None else found.get("xyz")).split(), 3)
-                axis = axis / max(np.linalg.norm(axis), 1e-6)
+                axis, row = axis / np.linalg.norm(axis), self.rows[joint.find("parent").get("link")]
                 entry = (row, origin(joint), axis, kind, *leader)
+            own = {len(self.joints)} if entry[5] else set()
+            self.moves.append(self.moves[entry[0]] | own)
             self.rows[link] = len(self.joints)
-            self.moves.append(self.moves[entry[0]] | ({len(self.joints)} if entry[5] else set()))
             self.joints.append(entry)
-        return self.rows[link]
 
     def leader(self, name):
         """Return planned joint, factor and offset: value = factor * planned value + offset."""
@@ -175,6 +172,14 @@ class Body:
         return (self.points @ n.T).max(axis=0) + self.radius + self.disc * across
 
 
+def told_shape(told):
+    """Return points (k, 3), radius and disc of a body in the proof; see docs/proof.md."""
+    points = told["points"]
+    if isinstance(points, str):
+        points = np.frombuffer(base64.b64decode(points), dtype="<i2") * float(told["unit"])
+    return array(points, -1, 3), float(told["radius"]), float(told["disc"])
+
+
 def bodies_of(robot, root, told):
     """Yield the bodies of a robot and of what it carries, with their links."""
     hulls = {(hull["mesh"], tuple(hull["scale"])): hull for hull in told["hulls"]}
@@ -201,92 +206,57 @@ def bodies_of(robot, root, told):
                 scale = tuple(array(kind.get("scale", "1 1 1").split(), 3).tolist())
                 hull = hulls.get((kind.get("filename"), scale))
                 need(hull, f"the proof has no hull of {kind.tag} {kind.get('filename')}")
-                parts = [(points_of(part), part["radius"], 0.0) for part in hull["pieces"]]
+                parts = [told_shape(part) for part in hull["pieces"]]
             for k, (points, *sizes) in enumerate(parts):
                 part = f"{own}.{k}" if len(parts) > 1 else own
                 yield Body(part, robot.rows[name], points @ T[:3, :3].T + T[:3, 3], *sizes), name
     for item in told["carried"]:
-        yield body_of(item, robot.rows[item["link"]]), item["link"]
-
-
-def body_of(item, row):
-    """Return an obstacle or a load of the proof."""
-    return Body(item["name"], row, array(item["points"], -1, 3), item["radius"], item["disc"])
-
-
-def points_of(hull):
-    """Return corners (k, 3) of a hull [m]: base64 of whole numbers of 16 bits, times `unit`."""
-    raw = np.frombuffer(base64.b64decode(hull["corners"]), dtype="<i2")
-    return array(raw * float(hull["unit"]), -1, 3)
+        yield Body(item["name"], robot.rows[item["link"]], *told_shape(item)), item["link"]
 
 
 def read_motion(data, names):
     """Return times (m,) or None, positions (m, n), velocities and accelerations or None."""
-    text, order, t = data.decode("utf-8-sig"), range(len(names)), None
-    kinds = ("positions", "velocities", "accelerations")
-    if text.lstrip()[:1] in ("{", "["):
-        found = json.loads(text)
-        found = {"states": found} if isinstance(found, list) else found
-        order = [found.get("joint_names", names).index(name) for name in names]
-        rows = {"positions": found.get("states", found.get("path"))}
-        if "points" in found:
-            since = [point["time_from_start"] for point in found["points"]]
-            t = np.array([x["sec"] + 1e-9 * x["nanosec"] for x in since])
-            rows = {kind: [point.get(kind) for point in found["points"]] for kind in kinds}
-        columns = [rows[kind] if rows.get(kind, [None])[0] else None for kind in kinds]
-    else:
-        head, *rows = csv.reader(text.splitlines())
-        table = dict(zip(head, np.array(rows, dtype=float).T))
-        t, ends = table.get("time"), ("_position", "_velocity", "_acceleration")
-        ends = ends if names[0] + ends[0] in table else ("", *ends[1:])
-        given = [[table.get(name + end) for name in names] for end in ends]
-        columns = [None if column[0] is None else np.array(column).T for column in given]
-    states = [None if x is None else array(x, -1, len(names))[:, order] for x in columns]
-    need(t is None or ((np.diff(t) > 0.0).all() and t[-1] < 1e6), "times do not increase")
-    return (t, *states)
+    found, t = json.loads(data), None
+    found = {"states": found} if isinstance(found, list) else found
+    columns = [found.get("states", found.get("path")), None, None]
+    if "points" in found:
+        since = [point["time_from_start"] for point in found["points"]]
+        t = np.array([x["sec"] + 1e-9 * x["nanosec"] for x in since])
+        need((np.diff(t) > 0.0).all() and t[-1] < 1e6, "times do not increase")
+        kinds = ("positions", "velocities", "accelerations")
+        columns = [[point.get(kind) for point in found["points"]] for kind in kinds]
+        need(columns[1][0], "points have times, but no velocities: many curves go through them")
+    order = [found.get("joint_names", names).index(name) for name in names]
+    return t, *(array(x, -1, len(names))[:, order] if x and x[0] else None for x in columns)
 
 
-def curves_of(t, q, v, a, ends):
-    """Return the curves of a motion by name, Bezier points (6, pieces, n); lengths (pieces, 1)."""
+def curves_of(t, q, v, a):
+    """Return Bezier points (6, pieces, curves, n) of a motion's curves, and lengths (pieces, 1).
+
+    They are straight lines, or the cubics through velocities and the quintics through accelerations,
+    too: controllers take one of them.
+    """
     h = np.ones((len(q) - 1, 1)) if t is None else np.diff(t)[:, None]
-    slopes = np.diff(q, axis=0) / h
-
-    def cubic(v0, v1):
-        c = q[:-1], q[:-1] + h * v0 / 3, q[1:] - h * v1 / 3, q[1:]
-        first = c[0], 0.4 * c[0] + 0.6 * c[1], 0.1 * c[0] + 0.6 * c[1] + 0.3 * c[2]
-        last = 0.3 * c[1] + 0.6 * c[2] + 0.1 * c[3], 0.6 * c[2] + 0.4 * c[3], c[3]
-        return np.array([*first, *last])
-
-    curves = {"linear": cubic(slopes, slopes)}
-    if v is None and t is not None:  # the spline; an end without a velocity has no acceleration
-        need(len(q) <= 3000, "more than 3000 points without velocities")
-        given, d = [float(end is not None) for end in ends], h[:, 0]
-        A = np.diag([2.0 - given[0], *(2.0 * (d[:-1] + d[1:])), 2.0 - given[1]])
-        A += np.diag([1.0 - given[0], *d[:-1]], 1) + np.diag([*d[1:], 1.0 - given[1]], -1)
-        first, last = (3.0 * s if end is None else end for end, s in zip(ends, slopes[[0, -1]]))
-        inner = 3.0 * (h[1:] * slopes[:-1] + h[:-1] * slopes[1:])
-        w = np.linalg.solve(A, np.vstack([first, inner, last]))
-        curves["spline"] = cubic(w[:-1], w[1:])
-    elif v is not None:
-        curves = {"cubic": cubic(v[:-1], v[1:])}
+    v0, v1 = (np.diff(q, axis=0), np.diff(q, axis=0)) if v is None else (h * v[:-1], h * v[1:])
+    ends = np.array([q[:-1], v0, q[1:], v1])
+    rows = [5, 0, 0, 0], [5, 1, 0, 0], [3.5, 1, 1.5, -0.5], [1.5, 0.5, 3.5, -1], [0, 0, 5, -1]
+    curves = [np.einsum("ij,jkn->ikn", np.array([*rows, [0, 0, 5, 0]]) / 5, ends)]
     if a is not None:
-        first = q[:-1] + h * v[:-1] / 5, q[:-1] + 2 * h * v[:-1] / 5 + h**2 * a[:-1] / 20
-        last = q[1:] - 2 * h * v[1:] / 5 + h**2 * a[1:] / 20, q[1:] - h * v[1:] / 5
-        curves["quintic"] = np.array([q[:-1], *first, *last, q[1:]])
+        first = q[:-1] + v0 / 5, q[:-1] + 2 * v0 / 5 + h**2 * a[:-1] / 20
+        last = q[1:] - 2 * v1 / 5 + h**2 * a[1:] / 20, q[1:] - v1 / 5
+        quintic = np.array([q[:-1], *first, *last, q[1:]])
         # with accelerations that differ by d at the ends, inner points differ by h^2 d / 20 and
-        # the curves by at most h^2 d / 32; above a nanometre both are checked
-        if np.abs(curves["quintic"] - curves["cubic"])[2:4].max() * 20 / 32 <= 1e-9:
-            del curves["cubic"]
-    return curves, h
+        # the curves by at most h^2 d / 32; below a nanometre the quintic stands for both
+        same = np.abs(quintic - curves[0]).max() * 20 / 32 <= 1e-9
+        curves = [quintic] if same else [*curves, quintic]
+    return np.stack(curves, axis=2), h
 
 
 def halves(b):
-    """Return the Bezier points of both halves of curves (k, ...)."""
-    left, right = [b[0]], [b[-1]]
-    while len(b) > 1:
-        b = 0.5 * (b[:-1] + b[1:])
-        left, right = [*left, b[0]], [b[-1], *right]
-    return np.array(left), np.array(right)
+    """Return the Bezier points of both halves of curves (k, ...): means of their points."""
+    count = range(len(b))
+    M = np.array([[math.comb(i, j) / 2.0**i for j in count] for i in count])
+    return np.tensordot(M, b, 1), np.tensordot(M[::-1, ::-1], b, 1)
 
 
 def within(b, low, high):
@@ -302,8 +272,7 @@ def within(b, low, high):
 def leaves(tree, pieces, obstacles):
     """Yield interval, first obstacle, end of the obstacles, and normal of each leaf of a tree.
 
-    An interval is (lo, hi, halved, number): the pieces lo to hi of the motion, or, if it is halved,
-    part `number` of 2^halved equal parts of one piece.
+    An interval is pieces lo to hi of the motion, or part `number` of 2^halved parts of piece lo.
     """
     left = [((0, pieces, 0, 0), 0, obstacles)]
     for token in tree:
@@ -330,36 +299,31 @@ class Proof:
         for name, data in (("robot", urdf), ("motion", motion), ("scene", scene)):
             same = hashlib.sha256(data).hexdigest() == told["sha256"][name]
             need(same, f"the proof is of another {name}: its sha256 is another one")
-        self.told, self.kept, root = told, {}, ElementTree.fromstring(urdf)
+        self.told, root = told, ElementTree.fromstring(urdf)
         self.robot = Robot(root, told)
         found = list(bodies_of(self.robot, root, told))
         self.bodies, self.links = {x.name: x for x, _ in found}, {x.name: y for x, y in found}
         need(len(self.bodies) == len(found), "two bodies have the same name")
-        t, q, v, a = read_motion(motion, self.robot.names)
-        self.curves, self.h = curves_of(t, q, v, a, told["ends"])
-        self.timed, self.t = t is not None, np.arange(len(q) * 1.0) if t is None else t
-        self.obstacles = [body_of(item, 0) for item in told["obstacles"]]
+        t, *states = read_motion(motion, self.robot.names)
+        (self.b, h), self.timed = curves_of(t, *states), t is not None
+        self.h = h  # lengths of the pieces [s]
+        self.obstacles = [Body(x["name"], 0, *told_shape(x)) for x in told["obstacles"]]
 
-    def points(self, curves, key):
-        """Return Bezier points (6, m, n) of curves on an interval."""
-        lo, hi, halved, number = key
-        if not halved:
-            return np.concatenate([self.curves[name][:, lo:hi] for name in curves], axis=1)
-        if (curves, key) not in self.kept:
-            above = self.points(curves, (lo, hi, halved - 1, number // 2))
-            self.kept[curves, key] = halves(above)[number % 2]
-        return self.kept[curves, key]
+    def placed_on(self, intervals):
+        """Return what `placed` does for intervals."""
+        boxes = []
+        for lo, hi, halved, number in intervals:
+            b = self.b[:, lo:hi]
+            for k in reversed(range(halved)):
+                b = halves(b)[number >> k & 1]
+            b = b.reshape(-1, b.shape[3])
+            boxes.append((b.min(axis=0), b.max(axis=0)))
+        return self.placed(*np.array(boxes).swapaxes(0, 1))
 
-    def placed(self, b):
-        """Return poses R, p in the middle q of boxes around b (k, m, n), half widths, and q."""
-        low, high = b.min(axis=0), b.max(axis=0)
+    def placed(self, low, high):
+        """Return poses R, p in the middle q of boxes [low, high] (m, n), their half widths, q."""
         q = 0.5 * (low + high)
         return (*self.robot.poses(q), 0.5 * (high - low) + SLACK, q)
-
-    def placed_on(self, curves, keys):
-        """Return the same for intervals."""
-        found = (self.points(curves, key).reshape(-1, len(self.robot.names)) for key in keys)
-        return self.placed(np.array([(b.min(axis=0), b.max(axis=0)) for b in found]).swapaxes(0, 1))
 
     def gaps(self, first, second, n, placed, ranges):
         """Return gaps (m,) between two bodies along n (m, 3), less their ways together [m].
@@ -368,56 +332,59 @@ class Proof:
         """
         (R, p, *_), moves = placed, self.robot.moves
         n = n / np.linalg.norm(n, axis=1)[:, None]
-        if second is None:
-            gap, (parts, of) = np.empty(len(n)), np.unique(ranges, axis=0, return_inverse=True)
+        gap, sides = np.zeros(len(n)), [(first, 0, 1.0)]
+        if second is not None:
+            sides = [(first, second.row, 1.0), (second, first.row, -1.0)]
+        else:
+            parts, of = np.unique(ranges, axis=0, return_inverse=True)
             for k, (a, b) in enumerate(parts):
                 own = of.reshape(-1) == k
                 gap[own] = -np.max([body.reach(-n[own]) for body in self.obstacles[a:b]], axis=0)
-            sides = [(first, 0, 1.0)]
-        else:
-            gap, sides = 0.0, [(first, second.row, 1.0), (second, first.row, -1.0)]
         for body, other, sign in sides:
             R_body, p_body = R[:, body.row], p[:, body.row]
             local = sign * np.einsum("mij,mi->mj", R_body, n)
-            gap = gap - body.reach(local) - sign * (p_body * n).sum(axis=1)
-            if joints := sorted(moves[body.row] - moves[other]):
+            gap -= body.reach(local) + sign * (p_body * n).sum(axis=1)
+            if joints := moves[body.row] - moves[other]:
                 box = body.box @ R_body.swapaxes(1, 2) + p_body[:, None]
-                gap = gap - self.robot.ways(placed, joints, box)
+                gap -= self.robot.ways(placed, joints, box)
         return gap
 
-    def check_planes(self, curves, pairs):
-        """Check trees of planes by pair: two bodies, or a body and "" for all obstacles."""
-        found = [
-            (pair, *zip(*leaves(tree, len(self.h), len(self.obstacles)))) for pair, tree in pairs
-        ]
-        number = {key: k for k, key in enumerate({key for _, keys, *_ in found for key in keys})}
-        placed = self.placed_on(curves, number) if number else ()
-        for (first, second), keys, a, b, n in found:
+    def check(self):
+        """Check everything; Refused says what fails first."""
+        self.check_limits()
+        self.check_pairs()
+        self.check_planes()
+        for region in self.told["regions"]:
+            self.check_region(region)
+
+    def check_pairs(self):
+        """Check that every pair that moves against each other has planes or a reason for none."""
+        pairs = {frozenset(pair) for *pair, _ in self.told["planes"]}
+        known = {frozenset(pair): reason for *pair, reason in self.told["not_compared"]}
+        rows, moves = {"": 0, **{x.name: x.row for x in self.bodies.values()}}, self.robot.moves
+        for one, other in itertools.combinations([""] * bool(self.obstacles) + [*self.bodies], 2):
+            between, pair = moves[rows[one]] ^ moves[rows[other]], frozenset((one, other))
+            if between and pair not in pairs:
+                links = frozenset(self.links.get(name, "") for name in pair)
+                reason = known.get(pair) or known.get(links)
+                what = f"{one or 'obstacles'} and {other}"
+                need(reason, f"{what} have neither planes nor a reason for none")
+                need(reason != "adjacent" or len(between) == 1, f"{what} are not adjacent")
+
+    def check_planes(self):
+        """Check the planes of pairs of bodies, or of a body and all obstacles, which have no name."""
+        pieces, count = self.b.shape[1], len(self.obstacles)
+        found = [(*pair, *zip(*leaves(x, pieces, count))) for *pair, x in self.told["planes"]]
+        number = {key: k for k, key in enumerate({key for x in found for key in x[2]})}
+        placed = self.placed_on(number) if number else ()
+        for first, second, keys, a, b, n in found:
             needed = SLACK + (0.0 if second else self.told["clearance"])
             at = [x[[number[key] for key in keys]] for x in placed]
-            other = self.bodies[second] if second else None
-            gap = self.gaps(self.bodies[first], other, np.array(n), at, np.array([a, b]).T)
+            other, ranges = self.bodies[second] if second else None, np.array([a, b]).T
+            gap = self.gaps(self.bodies[first], other, np.array(n), at, ranges)
             k = int((gap > needed).argmin())
-            when = f"{self.t[keys[k][0]]:.6g} to {self.t[keys[k][1]]:.6g}"
-            what = f"{first} and {second or self.obstacles[a[k]].name} from {when}"
+            what = f"{first} and {second or self.obstacles[a[k]].name}, from point {keys[k][0]} on"
             need(gap[k] > needed, f"{what}: gap less ways {gap[k]:.6g} m, needed {needed:.6g} m")
-
-    def check_distances(self, curves, part):
-        """Check that every pair is apart on these curves, or left out with a reason."""
-        pairs = {frozenset(pair): (pair, tree) for *pair, tree in part["pairs"]}
-        known = {frozenset(pair): reason for *pair, reason in self.told["not_compared"]}
-        moves, names = self.robot.moves, list(self.bodies)
-        for k, name in enumerate(names):
-            for other in [*names[k + 1 :], *([""] if self.obstacles else [])]:
-                row = self.bodies[other].row if other else 0
-                pair, between = frozenset((name, other)), moves[self.bodies[name].row] ^ moves[row]
-                if between and pair not in pairs:
-                    links = frozenset((self.links[name], self.links.get(other, "")))
-                    reason = known.get(pair) or known.get(links)
-                    need(reason, f"{name} and {other or 'obstacles'}: no plane and no reason why")
-                    adjacent = reason != "adjacent" or len(between) == 1
-                    need(adjacent, f"{name} and {other} are not adjacent")
-        self.check_planes(curves, pairs.values())
 
     def check_limits(self):
         """Check that limits are those of the URDF, or said to be others, and are kept."""
@@ -425,128 +392,92 @@ class Proof:
         for j, name in enumerate(self.robot.names):
             joint, told = self.robot.known[name], self.told["limits"][name]
             words = {} if joint.find("limit") is None else joint.find("limit").attrib
-            signs = dict(zip(KINDS, (-1.0, 1.0, 1.0, 1.0)))
-            most = {k: signs[k] * math.inf if told[k] is None else told[k] for k in KINDS}
-            for kind in KINDS[:3]:
-                stated, sign = float(words.get(kind, 0.0)), signs[kind]
+            most = [np.inf if told[kind] is None else told[kind] for kind in KINDS]
+            most[0] = np.inf if told["lower"] is None else -most[0]
+            for kind, value, sign in zip(KINDS, most[:3], (-1.0, 1.0, 1.0)):
+                stated = float(words.get(kind, 0.0))
                 free = stated == 0.0 if kind == "velocity" else joint.get("type") == "continuous"
-                kept = free or sign * most[kind] <= sign * stated + SLACK or (name, kind) in own
-                need(
-                    kept, f"{kind} limit {told[kind]} of {name} is wider than {stated} in the URDF"
-                )
-            for curve, b in ((curve, points[:, :, j]) for curve, points in self.curves.items()):
-                low, high = most["lower"] - BEYOND_POSITION, most["upper"] + BEYOND_POSITION
-                need(within(b, low, high), f"{name} exceeds its position limits ({curve})")
-                # b has errors of some 1e-16 of its size; each difference doubles them, times 5, 4
-                error = 1e-15 * max(1.0, np.abs(b).max())
-                for order in range(self.timed * (1 if curve == "linear" else 2)):
-                    b, error = (
-                        (5 - order) * np.diff(b, axis=0) / self.h.T,
-                        20 * error / self.h.min(),
-                    )
-                    limit = most[KINDS[2 + order]] * (1.0 + BEYOND_RATES[order]) - error
-                    what = f"{name} exceeds its {KINDS[2 + order]} limit ({curve})"
-                    need(within(b, -limit, limit), what)
+                kept = free or value <= sign * stated + SLACK or (name, kind) in own
+                need(kept, f"{kind} limit {told[kind]} of {name}, in the URDF {stated}")
+            b = self.b[..., j]
+            ends = -most[0] - BEYOND_POSITION, most[1] + BEYOND_POSITION
+            need(within(b, *ends), f"{name} exceeds its position limits")
+            # b has errors of some 1e-16 of its size; each difference doubles them, times 5 and 4
+            error = 1e-15 * max(1.0, np.abs(b).max())
+            for order in range(2 * self.timed):
+                b, error = (5 - order) * np.diff(b, axis=0) / self.h, 20.0 * error / self.h.min()
+                limit = most[2 + order] * (1.0 + BEYOND_RATES[order]) - error
+                need(within(b, -limit, limit), f"{name} exceeds its {KINDS[2 + order]} limit")
 
-    def check_region(self, region, curve):
+    def check_region(self, region):
         """Check the bounds of a region: values in the middle of intervals, and how they change.
 
-        In the frame w, the origin of e moves by at most its way, and e turns by at most the sum of
-        all turns. Tilts change by at most the turn, entries of rotation vectors by pi / 2 times it.
-        Where angle pi may be passed, these jump to their negatives: both signs are checked.
+        Seen from frame w, the origin of e moves by at most its way, and e turns by at most the sum
+        of all turns. Its tilt changes by at most that; sizes of the entries of its rotation vector
+        by pi / 2 times that: the vector may jump to its negative at angle pi, its sizes do not.
         """
-        robot, b, total = self.robot, self.curves[curve], 0
+        robot, b = self.robot, self.b
         (e, T_e), (w, T_w) = ((robot.rows[x["link"]], pose(x["pose"])) for x in region["frames"])
-        joints = sorted(robot.moves[e] ^ robot.moves[w])
+        joints = robot.moves[e] ^ robot.moves[w]
         hinges = [robot.joints[j][4:6] for j in joints if robot.joints[j][3] != "prismatic"]
-        ends = [[math.inf if x is None else x for x in row] for row in zip(*region["bounds"])]
-        low, high = np.array(ends).reshape(2, 9)
-        low = np.where(low == math.inf, -math.inf, low)
-        while b.shape[1]:
-            total += b.shape[1]
-            what = f"region of {region['name']} is not proven on the {curve} curve"
-            need(total <= MOST_INTERVALS, what)
-            R, p, widths, _ = placed = self.placed(b)
+        low, high = np.array(region["bounds"], dtype=float).reshape(9, 2).T  # null becomes nan
+        low, high = np.where(np.isnan(low), -np.inf, low), np.where(np.isnan(high), np.inf, high)
+        for _ in range(40):
+            need(b.shape[1] <= MOST_INTERVALS, f"region of {region['name']}: too many intervals")
+            R, p, widths, _ = placed = self.placed(b.min(axis=(0, 2)), b.max(axis=(0, 2)))
             at = R[:, e] @ T_e[:3, 3] + p[:, e]
             way, turned = robot.ways(placed, joints, at[:, None]), np.full(len(R), SLACK)
             for leader, factor in hinges:
                 turned += abs(factor) * widths[:, leader]
-            R_w = R[:, w] @ T_w[:3, :3]
-            D, from_w = (
-                R_w.swapaxes(1, 2) @ R[:, e] @ T_e[:3, :3],
-                at - p[:, w] - R[:, w] @ T_w[:3, 3],
-            )
-            t = np.einsum("mij,mi->mj", R_w, from_w)
-            v = 0.5 * np.stack([D[:, i, j] - D[:, j, i] for i, j in ((2, 1), (0, 2), (1, 0))], 1)
-            sine, cosine = np.linalg.norm(v, axis=1), 0.5 * (np.einsum("mii->m", D) - 1.0)
-            angle = np.arctan2(sine, cosine)[:, None]
-            turns = v * angle / np.maximum(sine, 1e-12)[:, None]
+            R_w, from_w = R[:, w] @ T_w[:3, :3], at - p[:, w] - R[:, w] @ T_w[:3, 3]
+            D, t = R_w.swapaxes(1, 2) @ R[:, e] @ T_e[:3, :3], np.einsum("mij,mi->mj", R_w, from_w)
+            diagonal = np.einsum("mii->mi", D)
+            cosine = np.clip(0.5 * (diagonal.sum(axis=1) - 1.0), -1.0, 1.0)[:, None]
+            shares = (diagonal - cosine) / np.maximum(1.0 - cosine, 1e-15)  # of axis, squared
+            # rounding errors of the two roots are below 1e-7
+            sizes = np.arccos(cosine) * np.sqrt(np.clip(shares, 0.0, 1.0)) + 1e-7
             tilt = np.arctan2(np.hypot(D[:, 0, 2], D[:, 1, 2]), D[:, 2, 2])
-            lengths = np.linalg.norm(t, axis=1), np.hypot(t[:, 0], t[:, 1])
-            near = angle + turned[:, None] > 3.1  # sizes of entries, from 1 - cosine: to 1e-7
-            shares = (np.einsum("mii->mi", D) - cosine[:, None]) / np.maximum(1.0 - cosine, 1e-9)[
-                :, None
-            ]
-            sizes = angle * np.sqrt(np.maximum(shares, 0.0)) + 1e-7
-            least, most = (
-                np.column_stack([t, np.where(near, sign * sizes, turns), tilt, *lengths])
-                for sign in (-1.0, 1.0)
-            )
-            change = np.column_stack([*[way] * 3, *[0.5 * math.pi * turned] * 3, turned, way, way])
+            rest = tilt, np.linalg.norm(t, axis=1), np.hypot(t[:, 0], t[:, 1])
+            least, most = (np.column_stack([t, sign * sizes, *rest]) for sign in (-1.0, 1.0))
+            change = np.column_stack([*[way] * 3, *[np.pi / 2 * turned] * 3, turned, way, way])
             beyond = (np.maximum(low - least, most - high) + change).max(axis=1)
             b = np.concatenate(halves(b[:, ~(beyond < BEYOND_REGION - SLACK)]), axis=1)
-
-    def check(self):
-        """Check everything that is proven; Refused says what fails first."""
-        self.check_limits()
-        for part in self.told["parts"]:
-            self.check_distances(tuple(part["curves"]), part)
-        seen = {name for part in self.told["parts"] for name in part["curves"]}
-        need(
-            seen == set(self.curves),
-            f"it is about curves {seen}; the motion has {set(self.curves)}",
-        )
-        for region in self.told["regions"]:
-            for curve in self.curves:
-                self.check_region(region, curve)
+            if not b.shape[1]:
+                return
+        raise Refused(f"region of {region['name']} is not kept")
 
 
 def check_meshes(told, urdf):
-    """Compare the mesh files near the URDF with their digests; return how many are there."""
-    count = 0
+    """Compare mesh files above the URDF with their digests; return how many are there."""
+    there = 0
     for hull in told["hulls"]:
-        scheme, _, name = hull["mesh"].rpartition("://")
-        folders = urdf.resolve().parents if scheme == "package" else [urdf.parent]
-        for file in [folder / name for folder in folders if (folder / name).is_file()][:1]:
-            same = hashlib.sha256(file.read_bytes()).hexdigest() == hull["sha256"]
-            need(same, f"the proof is of another mesh {file}: its sha256 is another one")
-            count += 1
-    return count
+        name = hull["mesh"].rpartition("://")[2]
+        for file in [folder / name for folder in urdf.resolve().parents]:
+            if file.is_file():
+                same = hashlib.sha256(file.read_bytes()).hexdigest() == hull["sha256"]
+                need(same, f"the proof is of another mesh {file}: its sha256 is another one")
+                there += 1
+                break
+    return there
 
 
 def main():
-    """Check the proof that the command line names; return 0 (yes), 1 (no) or 2 (not readable)."""
+    """Check the proof that the command line names; return 0 (yes) or 1 (no)."""
     parser = argparse.ArgumentParser(description="Check a proof of a robot's motion.")
     parser.add_argument("proof", type=Path)
     parser.add_argument("--urdf", type=Path, required=True)
     parser.add_argument("--motion", type=Path, required=True)
     args = parser.parse_args()
     try:
-        text, urdf, motion = (x.read_bytes() for x in (args.proof, args.urdf, args.motion))
-        told = json.loads(text)
-        proof, meshes = Proof(told, urdf, motion), check_meshes(told, args.urdf)
+        told = json.loads(args.proof.read_bytes())
+        proof = Proof(told, args.urdf.read_bytes(), args.motion.read_bytes())
+        meshes = check_meshes(told, args.urdf)
         proof.check()
-    except OSError as error:
-        print(error, file=sys.stderr)
-        return 2
-    except Refused as refused:
-        print(f"no: {refused}")
+    except Exception as error:  # whatever is wrong in a file, it is no proof
+        print(f"no: {error}" if isinstance(error, Refused) else f"no: cannot be read: {error!r}")
         return 1
-    except Exception as error:  # whatever else is wrong in a file is no proof
-        print(f"no: the proof or a file is malformed: {type(error).__name__}: {error}")
-        return 1
-    print(f"yes: {told['motion']} of {told['robot']}, {len(proof.bodies)} bodies, obstacles:")
-    print(f"  {', '.join(x.name for x in proof.obstacles) or 'none'}; {told['clearance']} m away")
+    print(f"yes: {told['motion']} of {told['robot']}, {told['clearance']} m away from:")
+    print(f"  {', '.join(x.name for x in proof.obstacles) or 'no obstacles'}")
     print(f"hulls of {len(told['hulls'])} meshes are the proof's; {meshes} files have its digests")
     for pair in told["not_compared"]:
         print("not compared: {} and {} ({})".format(*pair))

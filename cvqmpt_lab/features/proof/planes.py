@@ -12,7 +12,7 @@ import numpy as np
 
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.collision.directions import Directions
-from cvqmpt_lab.features.proof.cvqmpt_check import SLACK, Body, Proof
+from cvqmpt_lab.features.proof.cvqmpt_check import SLACK, Proof
 
 DIGITS = (2, 4, 8)  # of the numbers of a normal; the first that suffices are taken
 DEEPEST = 16  # times that a piece of the motion is halved
@@ -66,67 +66,59 @@ class Pair:
 
 
 class Planes:
-    """Search for the planes of a proof on some curves of its motion.
+    """Search for the planes of a proof.
 
     Args:
         proof: the proof, without planes.
         directions: the bodies.
         names: the proof's name of each piece of `directions`.
-        curves: names of the curves.
     """
 
-    def __init__(
-        self,
-        proof: Proof,
-        directions: Directions,
-        names: Sequence[str],
-        curves: tuple[str, ...],
-    ) -> None:
+    def __init__(self, proof: Proof, directions: Directions, names: Sequence[str]) -> None:
         self._proof, self._directions, self._names = proof, directions, names
-        self._curves, self._world = curves, proof.obstacles
         self._boxes: dict[tuple[int, int], tuple[np.ndarray, np.ndarray]] = {}
 
-    def part(self, compared: Sequence[int]) -> dict[str, Any]:
-        """Return the planes of all pairs as a part of the proof.
+    def found(self, compared: Sequence[int]) -> list[list[Any]]:
+        """Return the planes of all pairs, in the form of the proof.
 
         Raises InvalidInputError if two bodies come too close to find some.
 
         compared: numbers of the pieces that are compared with obstacles.
         """
-        whole, count = (0, len(self._proof.h), 0, 0), len(self._directions.obstacles)
-        ends = [(i, k, Node(whole)) for i, k in self._directions.pairs]
+        whole, count = (0, self._proof.b.shape[1], 0, 0), len(self._proof.obstacles)
+        ends = [(i, k, Node(whole, 0, count)) for i, k in self._directions.pairs]
         ends += [(i, None, Node(whole, 0, count)) for i in compared if count]
         pairs = [Pair(i, k, root, [root]) for i, k, root in ends]
         while left := [pair for pair in pairs if pair.open]:
             keys = sorted({node.key for pair in left for node in pair.open})
-            placed = self._proof.placed_on(self._curves, keys)
+            placed = self._proof.placed_on(keys)
             number = {key: k for k, key in enumerate(keys)}
-            found = self._directions_at(left, keys, placed)
+            found = self._directions_at(left, keys, placed[3])
             for pair, (distances, normals) in zip(left, found, strict=True):
                 rows = [number[node.key] for node in pair.open]
-                self._step(pair, distances, normals, tuple(x[rows] for x in placed))
-        return {
-            "curves": list(self._curves),
-            "pairs": [
-                [self._names[p.first], self._names[p.second], [*p.root.tokens()]]
-                for p in pairs
-                if p.second is not None
-            ],
-            "obstacles": [
-                [self._names[p.first], [*p.root.tokens()]] for p in pairs if p.second is None
-            ],
-        }
+                self._step(pair, distances, normals, [x[rows] for x in placed])
+        named = [*self._names, ""]
+        return [
+            [named[pair.first], named[-1 if pair.second is None else pair.second], tree]
+            for pair, tree in ((pair, [*pair.root.tokens()]) for pair in pairs)
+        ]
 
     def _directions_at(
-        self, pairs: Sequence[Pair], keys: Sequence[Interval], placed: Any
+        self, pairs: Sequence[Pair], keys: Sequence[Interval], states: np.ndarray
     ) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Return distances (m,) and directions (m, 3) at the open nodes of pairs."""
+        """Return distances (m,) and directions (m, 3) at the open nodes of pairs.
+
+        Args:
+            pairs: the pairs.
+            keys: all intervals of their open nodes.
+            states: (k, n) in the middle of these.
+        """
         found = [(np.empty(len(p.open)), np.empty((len(p.open), 3))) for p in pairs]
         at: dict[Interval, list[tuple[int, int]]] = {key: [] for key in keys}
         for p, pair in enumerate(pairs):
             for k, node in enumerate(pair.open):
                 at[node.key].append((p, k))
-        for key, q in zip(keys, placed[3], strict=True):
+        for key, q in zip(keys, states, strict=True):
             self._directions.place(q)
             for p, k in at[key]:
                 distances, normals = found[p]
@@ -144,11 +136,8 @@ class Planes:
         """Return the ends (3,) of the box around the obstacles of a node [m]."""
         ends = node.first, node.last
         if ends not in self._boxes:
-            assert self._world is not None
-            rows = slice(*self._proof.starts[list(ends)])
-            around = (self._world.radii[rows] + self._world.discs[rows])[:, None]
-            points = self._world.points[rows]
-            self._boxes[ends] = (points - around).min(axis=0), (points + around).max(axis=0)
+            corners = [body.box for body in self._proof.obstacles[node.first : node.last]]
+            self._boxes[ends] = np.min(corners, axis=(0, 1)), np.max(corners, axis=(0, 1))
         return self._boxes[ends]
 
     def _step(self, pair: Pair, distances: np.ndarray, normals: np.ndarray, placed: Any) -> None:
@@ -162,22 +151,20 @@ class Planes:
         """
         bodies = self._proof.bodies
         first = bodies[self._names[pair.first]]
-        second: Body = self._world if pair.second is None else bodies[self._names[pair.second]]
+        second = None if pair.second is None else bodies[self._names[pair.second]]
         needed = self._proof.told["clearance"] if pair.second is None else 0.0
-        ranges = self._proof.starts[[[node.first, node.last] for node in pair.open]]
+        ranges = np.array([[node.first, node.last] for node in pair.open])
         left = np.flatnonzero(np.linalg.norm(normals, axis=1) > 0.5)
         for digits in DIGITS:
             if not len(left):
                 break
             rounded = np.round(normals[left], digits) + 0.0
-            at = tuple(x[left] for x in placed[:3])
-            gap, ways = self._proof.gaps(first, second, rounded, at, ranges[left])
-            free = gap - ways > needed + 2.0 * SLACK
+            at = [x[left] for x in placed]
+            free = self._proof.gaps(first, second, rounded, at, ranges[left]) > needed + SLACK
             for k, normal in zip(left[free].tolist(), rounded[free].tolist(), strict=True):
                 pair.open[k].normal = normal
             # more digits hardly help where the true distance is too small
-            near = distances[left] - ways > needed
-            left = left[~free & near]
+            left = left[~free]
         children = list[Node]()
         for node, distance in zip(pair.open, distances.tolist(), strict=True):
             if node.normal is None:

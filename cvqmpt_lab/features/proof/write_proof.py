@@ -10,7 +10,6 @@ from typing import Any
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.base.files import write_text
 from cvqmpt_lab.collision.directions import Directions
-from cvqmpt_lab.features.motion.limit_use import Ends
 from cvqmpt_lab.features.proof import cvqmpt_check
 from cvqmpt_lab.features.proof.claims import claims
 from cvqmpt_lab.features.proof.cvqmpt_check import SCHEMA, Proof, Refused
@@ -26,27 +25,24 @@ def urdf_of(problem: PlanningProblem) -> Path:
     return Path(read_source(problem.robot.source).urdf)
 
 
-def write_proof(
-    path: Path, problem: PlanningProblem, motion: Path, ends: Ends | None = None
-) -> str:
-    """Write the proof of a certified motion; return a line with the command that checks it.
+def write_proof(path: Path, problem: PlanningProblem, motion: Path) -> str:
+    """Write the proof of a certified motion; return the command that checks it.
 
     Args:
         path: file of the proof.
         problem: robot, scene and constraint.
         motion: file of the motion.
-        ends: velocities at the ends of the motion, which matter to a spline.
 
     Raises InvalidInputError if no proof is found, or it cannot be about this robot or file.
     """
-    proof = proof_of(problem, motion, ends)
+    proof = proof_of(problem, motion)
     write_text(path, json.dumps(proof, separators=(",", ":"), allow_nan=False) + "\n")
-    return f"{path}; python {CHECKER} {path} --urdf {urdf_of(problem)} --motion {motion}"
+    return f"python {CHECKER} {path} --urdf {urdf_of(problem)} --motion {motion}"
 
 
-def proof_of(problem: PlanningProblem, motion: Path, ends: Ends | None = None) -> dict[str, Any]:
+def proof_of(problem: PlanningProblem, motion: Path) -> dict[str, Any]:
     """Return the proof of a certified motion, see `write_proof`."""
-    ends, urdf = ends or Ends(), urdf_of(problem).read_bytes()
+    urdf = urdf_of(problem).read_bytes()
     directions = Directions(problem.robot, problem.scene, problem.carried)
     told = claims(problem, directions, urdf)
     given = motion.read_bytes()
@@ -58,10 +54,9 @@ def proof_of(problem: PlanningProblem, motion: Path, ends: Ends | None = None) -
         "scene": problem.scene.name,
         "motion": motion.name,
         "sha256": {name: hashlib.sha256(data).hexdigest() for name, data in files.items()},
-        "ends": _given_ends(ends, problem.robot.dof),
         **told,
         "not_compared": [],
-        "parts": [],
+        "planes": [],
     }
     try:
         proof = Proof(told, urdf, given)
@@ -73,20 +68,12 @@ def proof_of(problem: PlanningProblem, motion: Path, ends: Ends | None = None) -
     names = _names(directions, told["carried"])
     compared = _compared(problem, directions, proof, names)
     told["not_compared"] = [*_left_out(problem, directions, proof, names, compared)]
-    told["parts"] = _parts(proof, directions, names, compared)
+    told["planes"] = Planes(proof, directions, names).found(compared)
     try:
         proof.check()
     except Refused as refused:
         raise InvalidInputError(f"no proof that others can check is found: {refused}") from refused
     return told
-
-
-def _given_ends(ends: Ends, dof: int) -> list[list[float] | None]:
-    """Return the velocities at both ends of a spline; None: any, of a part of a motion."""
-    still = [0.0] * dof
-    first = still if ends.start_velocity is None else ends.start_velocity.tolist()
-    last = None if ends.part else still
-    return [first, last if ends.end_velocity is None else ends.end_velocity.tolist()]
 
 
 def _names(directions: Directions, carried: Sequence[dict[str, Any]]) -> list[str]:
@@ -139,24 +126,3 @@ def _left_out(
         for k, name in enumerate(names):
             if moves[k] and k not in compared:
                 yield [name, "obstacles", "SRDF: not compared by default"]
-
-
-def _parts(
-    proof: Proof, directions: Directions, names: Sequence[str], compared: Sequence[int]
-) -> list[dict[str, Any]]:
-    """Return the planes for all curves at once; or for each curve, where they are too far apart.
-
-    Args:
-        proof: the proof without planes.
-        directions: its bodies.
-        names: their names.
-        compared: numbers of the pieces that are compared with obstacles.
-    """
-    together = tuple(proof.curves)
-    for groups in ([together], [(name,) for name in together]):
-        try:
-            return [Planes(proof, directions, names, group).part(compared) for group in groups]
-        except InvalidInputError:
-            if len(groups) == len(together):
-                raise
-    raise AssertionError
