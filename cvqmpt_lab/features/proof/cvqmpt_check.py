@@ -97,6 +97,7 @@ class Robot:
             if joint is not None:
                 kind, found = joint.get("type"), joint.find("axis")
                 moving = kind in ("revolute", "continuous", "prismatic")
+                need(moving or kind in ("fixed", "floating", "planar"), f"a joint is {kind}")
                 leader = self.leader(joint.get("name")) if moving else (0, 0.0, 0.0)
                 axis = array(("1 0 0" if found is None else found.get("xyz")).split(), 3)
                 axis, row = axis / np.linalg.norm(axis), self.rows[joint.find("parent").get("link")]
@@ -299,6 +300,7 @@ class Proof:
         for name, data in (("robot", urdf), ("motion", motion), ("scene", scene)):
             same = hashlib.sha256(data).hexdigest() == told["sha256"][name]
             need(same, f"the proof is of another {name}: its sha256 is another one")
+        need(told["clearance"] >= 0.0, "its clearance is negative")
         self.told, root = told, ElementTree.fromstring(urdf)
         self.robot = Robot(root, told)
         found = list(bodies_of(self.robot, root, told))
@@ -325,29 +327,29 @@ class Proof:
         q = 0.5 * (low + high)
         return (*self.robot.poses(q), 0.5 * (high - low) + SLACK, q)
 
-    def gaps(self, first, second, n, placed, ranges):
-        """Return gaps (m,) between two bodies along n (m, 3), less their ways together [m].
-
-        second: None stands for the obstacles in `ranges` (m, 2).
-        """
-        (R, p, *_), moves = placed, self.robot.moves
+    def gap(self, first, second, n, placed, ranges):
+        """Return gaps (m,) [m] between two bodies along n (m, 3); second None: obstacles in ranges."""
+        (R, p, *_), gap = placed, np.zeros(len(n))
         n = n / np.linalg.norm(n, axis=1)[:, None]
-        gap, sides = np.zeros(len(n)), [(first, 0, 1.0)]
-        if second is not None:
-            sides = [(first, second.row, 1.0), (second, first.row, -1.0)]
-        else:
+        if second is None:
             parts, of = np.unique(ranges, axis=0, return_inverse=True)
             for k, (a, b) in enumerate(parts):
                 own = of.reshape(-1) == k
                 gap[own] = -np.max([body.reach(-n[own]) for body in self.obstacles[a:b]], axis=0)
-        for body, other, sign in sides:
-            R_body, p_body = R[:, body.row], p[:, body.row]
-            local = sign * np.einsum("mij,mi->mj", R_body, n)
-            gap -= body.reach(local) + sign * (p_body * n).sum(axis=1)
-            if joints := moves[body.row] - moves[other]:
-                box = body.box @ R_body.swapaxes(1, 2) + p_body[:, None]
-                gap -= self.robot.ways(placed, joints, box)
+        for body, sign in ((first, 1.0), (second, -1.0))[: 1 if second is None else 2]:
+            local = sign * np.einsum("mij,mi->mj", R[:, body.row], n)
+            gap -= body.reach(local) + sign * (p[:, body.row] * n).sum(axis=1)
         return gap
+
+    def way(self, first, second, placed):
+        """Return how far two bodies come closer at most on intervals (m,) [m]."""
+        (R, p, *_), moves, way = placed, self.robot.moves, 0.0
+        rows = [body.row if body else 0 for body in (first, second)]
+        for body, other in ((first, rows[1]), (second, rows[0])):
+            if body and (joints := moves[body.row] - moves[other]):
+                box = body.box @ R[:, body.row].swapaxes(1, 2) + p[:, None, body.row]
+                way = way + self.robot.ways(placed, joints, box)
+        return way
 
     def check(self):
         """Check everything; Refused says what fails first."""
@@ -381,7 +383,8 @@ class Proof:
             needed = SLACK + (0.0 if second else self.told["clearance"])
             at = [x[[number[key] for key in keys]] for x in placed]
             other, ranges = self.bodies[second] if second else None, np.array([a, b]).T
-            gap = self.gaps(self.bodies[first], other, np.array(n), at, ranges)
+            gap = self.gap(self.bodies[first], other, np.array(n), at, ranges)
+            gap -= self.way(self.bodies[first], other, at)
             k = int((gap > needed).argmin())
             what = f"{first} and {second or self.obstacles[a[k]].name}, from point {keys[k][0]} on"
             need(gap[k] > needed, f"{what}: gap less ways {gap[k]:.6g} m, needed {needed:.6g} m")
@@ -469,7 +472,7 @@ def main():
     parser.add_argument("--motion", type=Path, required=True)
     args = parser.parse_args()
     try:
-        told = json.loads(args.proof.read_bytes())
+        told = json.loads(args.proof.read_bytes(), parse_constant=int)
         proof = Proof(told, args.urdf.read_bytes(), args.motion.read_bytes())
         meshes = check_meshes(told, args.urdf)
         proof.check()
@@ -481,7 +484,7 @@ def main():
     print(f"hulls of {len(told['hulls'])} meshes are the proof's; {meshes} files have its digests")
     for pair in told["not_compared"]:
         print("not compared: {} and {} ({})".format(*pair))
-    for key in ("bodies_left_out", "held", "base", "limits_not_in_urdf", "not_proven"):
+    for key in ("held", "base", "limits", "limits_not_in_urdf", "regions", "bodies_left_out", "not_proven"):
         print(f"{key.replace('_', ' ')}: {json.dumps(told[key])}")
     return 0
 

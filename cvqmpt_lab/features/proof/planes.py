@@ -154,16 +154,17 @@ class Planes:
         second = None if pair.second is None else bodies[self._names[pair.second]]
         needed = self._proof.told["clearance"] if pair.second is None else 0.0
         ranges = np.array([[node.first, node.last] for node in pair.open])
-        left = np.flatnonzero(np.linalg.norm(normals, axis=1) > 0.5)
+        ways = self._proof.way(first, second, placed)
+        # a body at this distance has no plane; directions are unknown where bodies overlap
+        left = np.flatnonzero((distances - ways > needed) & (distances > 0.0))
         for digits in DIGITS:
             if not len(left):
                 break
             rounded = np.round(normals[left], digits) + 0.0
-            at = [x[left] for x in placed]
-            free = self._proof.gaps(first, second, rounded, at, ranges[left]) > needed + SLACK
+            gap = self._proof.gap(first, second, rounded, [x[left] for x in placed], ranges[left])
+            free = gap - ways[left] > needed + SLACK
             for k, normal in zip(left[free].tolist(), rounded[free].tolist(), strict=True):
                 pair.open[k].normal = normal
-            # more digits hardly help where the true distance is too small
             left = left[~free]
         children = list[Node]()
         for node, distance in zip(pair.open, distances.tolist(), strict=True):
