@@ -20,7 +20,6 @@ import base64
 import hashlib
 import itertools
 import json
-import math
 import sys
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
@@ -100,7 +99,7 @@ class Robot:
                 need(moving or kind in ("fixed", "floating", "planar"), f"a joint is {kind}")
                 leader = self.leader(joint.get("name")) if moving else (0, 0.0, 0.0)
                 axis = array(("1 0 0" if found is None else found.get("xyz")).split(), 3)
-                axis, row = axis / np.linalg.norm(axis), self.rows[joint.find("parent").get("link")]
+                axis, row = axis / max(np.linalg.norm(axis), 1e-9), self.rows[joint.find("parent").get("link")]
                 entry = (row, origin(joint), axis, kind, *leader)
             own = {len(self.joints)} if entry[5] else set()
             self.moves.append(self.moves[entry[0]] | own)
@@ -232,10 +231,10 @@ def read_motion(data, names):
 
 
 def curves_of(t, q, v, a):
-    """Return Bezier points (6, pieces, curves, n) of a motion's curves, and lengths (pieces, 1).
+    """Return Bezier points (6, pieces, n) of a motion's curves, and lengths (pieces,).
 
-    They are straight lines, or the cubics through velocities and the quintics through accelerations,
-    too: controllers take one of them.
+    They are straight lines, or cubics through velocities, or quintics through accelerations, too:
+    controllers take one of them. Then the cubic and the quintic from each point follow each other.
     """
     h = np.ones((len(q) - 1, 1)) if t is None else np.diff(t)[:, None]
     v0, v1 = (np.diff(q, axis=0), np.diff(q, axis=0)) if v is None else (h * v[:-1], h * v[1:])
@@ -250,14 +249,17 @@ def curves_of(t, q, v, a):
         # the curves by at most h^2 d / 32; below a nanometre the quintic stands for both
         same = np.abs(quintic - curves[0]).max() * 20 / 32 <= 1e-9
         curves = [quintic] if same else [*curves, quintic]
-    return np.stack(curves, axis=2), h
+    b = np.stack(curves, axis=2)
+    return b.reshape(6, -1, q.shape[1]), np.repeat(h, len(curves))
 
 
 def halves(b):
-    """Return the Bezier points of both halves of curves (k, ...): means of their points."""
-    count = range(len(b))
-    M = np.array([[math.comb(i, j) / 2.0**i for j in count] for i in count])
-    return np.tensordot(M, b, 1), np.tensordot(M[::-1, ::-1], b, 1)
+    """Return the Bezier points of both halves of curves (k, ...)."""
+    left, right = [b[0]], [b[-1]]
+    while len(b) > 1:
+        b = 0.5 * (b[:-1] + b[1:])
+        left, right = [*left, b[0]], [b[-1], *right]
+    return np.array(left), np.array(right)
 
 
 def within(b, low, high):
@@ -301,7 +303,7 @@ class Proof:
             same = hashlib.sha256(data).hexdigest() == told["sha256"][name]
             need(same, f"the proof is of another {name}: its sha256 is another one")
         need(told["clearance"] >= 0.0, "its clearance is negative")
-        self.told, root = told, ElementTree.fromstring(urdf)
+        self.told, self.kept, root = told, {}, ElementTree.fromstring(urdf)
         self.robot = Robot(root, told)
         found = list(bodies_of(self.robot, root, told))
         self.bodies, self.links = {x.name: x for x, _ in found}, {x.name: y for x, y in found}
@@ -311,16 +313,19 @@ class Proof:
         self.h = h  # lengths of the pieces [s]
         self.obstacles = [Body(x["name"], 0, *told_shape(x)) for x in told["obstacles"]]
 
+    def points(self, key):
+        """Return the Bezier points (6, m, n) on an interval."""
+        lo, hi, halved, number = key
+        if halved and key not in self.kept:
+            both = halves(self.points((lo, hi, halved - 1, number // 2)))
+            self.kept[key] = both[number % 2]
+        return self.kept[key] if halved else self.b[:, lo:hi]
+
     def placed_on(self, intervals):
         """Return what `placed` does for intervals."""
-        boxes = []
-        for lo, hi, halved, number in intervals:
-            b = self.b[:, lo:hi]
-            for k in reversed(range(halved)):
-                b = halves(b)[number >> k & 1]
-            b = b.reshape(-1, b.shape[3])
-            boxes.append((b.min(axis=0), b.max(axis=0)))
-        return self.placed(*np.array(boxes).swapaxes(0, 1))
+        found = (self.points(key).reshape(-1, self.b.shape[2]) for key in intervals)
+        boxes = np.array([(b.min(axis=0), b.max(axis=0)) for b in found])
+        return self.placed(*boxes.swapaxes(0, 1))
 
     def placed(self, low, high):
         """Return poses R, p in the middle q of boxes [low, high] (m, n), their half widths, q."""
@@ -386,7 +391,7 @@ class Proof:
             gap = self.gap(self.bodies[first], other, np.array(n), at, ranges)
             gap -= self.way(self.bodies[first], other, at)
             k = int((gap > needed).argmin())
-            what = f"{first} and {second or self.obstacles[a[k]].name}, from point {keys[k][0]} on"
+            what = f"{first} and {second or self.obstacles[a[k]].name}, from piece {keys[k][0]} on"
             need(gap[k] > needed, f"{what}: gap less ways {gap[k]:.6g} m, needed {needed:.6g} m")
 
     def check_limits(self):
@@ -427,7 +432,7 @@ class Proof:
         low, high = np.where(np.isnan(low), -np.inf, low), np.where(np.isnan(high), np.inf, high)
         for _ in range(40):
             need(b.shape[1] <= MOST_INTERVALS, f"region of {region['name']}: too many intervals")
-            R, p, widths, _ = placed = self.placed(b.min(axis=(0, 2)), b.max(axis=(0, 2)))
+            R, p, widths, _ = placed = self.placed(b.min(axis=0), b.max(axis=0))
             at = R[:, e] @ T_e[:3, 3] + p[:, e]
             way, turned = robot.ways(placed, joints, at[:, None]), np.full(len(R), SLACK)
             for leader, factor in hinges:
@@ -443,7 +448,9 @@ class Proof:
             rest = tilt, np.linalg.norm(t, axis=1), np.hypot(t[:, 0], t[:, 1])
             least, most = (np.column_stack([t, sign * sizes, *rest]) for sign in (-1.0, 1.0))
             change = np.column_stack([*[way] * 3, *[np.pi / 2 * turned] * 3, turned, way, way])
-            beyond = (np.maximum(low - least, most - high) + change).max(axis=1)
+            beyond = np.maximum(low - least, most - high)
+            need(((beyond - change) < BEYOND_REGION).all(), f"region of {region['name']} is left")
+            beyond = (beyond + change).max(axis=1)
             b = np.concatenate(halves(b[:, ~(beyond < BEYOND_REGION - SLACK)]), axis=1)
             if not b.shape[1]:
                 return

@@ -166,12 +166,15 @@ class Planes:
             for k, normal in zip(left[free].tolist(), rounded[free].tolist(), strict=True):
                 pair.open[k].normal = normal
             left = left[~free]
+        single = ranges[:, 1] - ranges[:, 0] == 1 if second is None else True
+        touching = single & (distances < needed - ways)
         children = list[Node]()
         for node, distance in zip(pair.open, distances.tolist(), strict=True):
             if node.normal is None:
                 children += node.halve(self._what(pair, node, distance))
         pair.open, pair.leaves = children, pair.leaves + len(children) // 2
-        if pair.leaves > MOST_LEAVES or any(node.key[2] > DEEPEST for node in children):
+        too_deep = any(node.key[2] > DEEPEST for node in children)
+        if touching.any() or too_deep or pair.leaves > MOST_LEAVES:
             other = "the obstacles" if pair.second is None else self._names[pair.second]
             raise InvalidInputError(
                 f"no proof that others can check is found: {self._names[pair.first]} and {other} "
