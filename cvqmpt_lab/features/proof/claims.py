@@ -60,7 +60,7 @@ def claims(problem: PlanningProblem, directions: Directions, urdf: bytes) -> dic
     return {
         "joints": list(robot.joint_names),
         "held": {joint.name: joint.value for joint in robot.held_joints if joint.name in movable},
-        "base": None if given.base is None else np.asarray(given.base).tolist(),
+        "base": None if given.base is None else _pose(np.asarray(given.base)),
         "visual_as_collision": given.visual_as_collision,
         "limits": limits,
         "limits_not_in_urdf": [
@@ -202,18 +202,20 @@ def _region(problem: PlanningProblem, region: TaskSpaceRegion) -> dict[str, Any]
     rows = np.where(bounded & np.isfinite(region.bounds), region.bounds, np.nan)[:BEARING]
     return {
         "name": region.end_effector or problem.robot.end_effector,
-        "frames": [{"link": name, "pose": _rotation_made_exact(T)} for name, T in frames],
+        "frames": [{"link": name, **_pose(T)} for name, T in frames],
         "bounds": [[None if math.isnan(x) else x for x in row] for row in rows.tolist()],
     }
 
 
-def _rotation_made_exact(T: np.ndarray) -> list[list[float]]:
-    """Return a pose (4, 4) whose rotation is one to 1e-15, not to the digits of a file."""
-    u, _, v = np.linalg.svd(T[:3, :3])
-    exact = T.copy()
-    exact[:3, :3] = u @ v
-    rows: list[list[float]] = exact.tolist()
-    return rows
+def _pose(T: np.ndarray) -> dict[str, str]:
+    """Return a pose (4, 4) as in the <origin> of a URDF, with all digits."""
+    R = T[:3, :3]
+    pitch = math.atan2(-R[2, 0], math.hypot(R[2, 1], R[2, 2]))
+    roll, yaw = math.atan2(R[2, 1], R[2, 2]), math.atan2(R[1, 0], R[0, 0])
+    if math.hypot(R[2, 1], R[2, 2]) < 1e-9:  # x points up or down: roll and yaw are one angle
+        roll, yaw = 0.0, math.atan2(-R[0, 1], R[1, 1])
+    rows = {"xyz": T[:3, 3].tolist(), "rpy": [roll, pitch, yaw]}
+    return {key: " ".join(map(repr, row)) for key, row in rows.items()}
 
 
 def _not_proven(problem: PlanningProblem) -> Iterator[str]:

@@ -91,13 +91,13 @@ class Planes:
         pairs = [Pair(i, k, root, [root]) for i, k, root in ends]
         while left := [pair for pair in pairs if pair.open]:
             keys = sorted({node.key for pair in left for node in pair.open})
-            placed = self._proof.placed_on(keys)
+            placed = self._proof.placed(keys)
             number = {key: k for k, key in enumerate(keys)}
             found = self._directions_at(left, keys, placed[3])
             for pair, (distances, normals) in zip(left, found, strict=True):
                 rows = [number[node.key] for node in pair.open]
                 self._step(pair, distances, normals, [x[rows] for x in placed])
-        named = [*self._names, ""]
+        named = [*self._names, "obstacles"]
         return [
             [named[pair.first], named[-1 if pair.second is None else pair.second], tree]
             for pair, tree in ((pair, [*pair.root.tokens()]) for pair in pairs)
