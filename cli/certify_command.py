@@ -122,9 +122,9 @@ def _told(
         times = None if check.times is None else moments
         verdict = report.lines[0].partition(";")[0]
         write_text(path, path_html(problem, states, verdict, times=times, lines=report.lines))
+    print(json.dumps(report.data, indent=1, allow_nan=False) if args.json else report)
     if args.proof:
         _prove(args.proof, problem, args.path, judged)
-    print(json.dumps(report.data, indent=1, allow_nan=False) if args.json else report)
     return 0 if judged.certified else 1
 
 

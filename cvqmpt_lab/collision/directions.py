@@ -107,5 +107,3 @@ class Directions:
         own = self.shapes[piece], self._pose(piece)
         distance = coal.distance(*own, shape, pose, self._request, result)
         return float(distance), np.array(result.normal, dtype=float)
-
-

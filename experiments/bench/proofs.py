@@ -84,7 +84,7 @@ def problem_of(rng: np.random.Generator, arm: str) -> tuple[PlanningProblem, np.
 def trajectory_of(
     rng: np.random.Generator, names: tuple[str, ...], states: np.ndarray
 ) -> Trajectory:
-    """Return a motion through states (3, n) at rest at its ends, now and then too fast."""
+    """Return a motion through states (3, n), at rest at its ends; some are too fast."""
     longest = np.abs(np.diff(states, axis=0)).max()
     span = max(longest, 0.1) * rng.uniform(0.8, 4.0)
     velocity = np.zeros_like(states)
@@ -125,9 +125,7 @@ def cases(rng: np.random.Generator, folder: Path, count: int, told: Counter) -> 
         answer = accepts(json.loads(text), problem, file.read_bytes())
         told["check [ms]"] += round(1e3 * (time.process_time() - begin))
         if not certified:
-            print(
-                f"motion {k} of {arm} is proven, the certificate says {judged.check.certificate.reasons}"
-            )
+            print(f"motion {k} of {arm} is proven: {judged.check.certificate.reasons}")
         told[f"{'certified' if certified else 'REFUSED'}, {'yes' if answer else 'NO'}"] += 1
         if certified and answer:
             yield Case(problem, file, json.loads(text))
@@ -271,9 +269,9 @@ def still_true(case: Case, proof: dict[str, Any], motion: Motion, beyond: float 
         beyond: what may be missing at distances [m]; coal rounds.
     """
     robot = case.problem.robot
+    motion = motion.of_joints(robot.joint_names)
     assert motion.times is not None and motion.velocities is not None
     assert motion.accelerations is not None
-    motion = motion.of_joints(robot.joint_names)
     curve = Trajectory(
         robot.joint_names, motion.times, motion.positions, motion.velocities, motion.accelerations
     )

@@ -27,8 +27,11 @@ import numpy as np
 SCHEMA, SLACK, MOST_INTERVALS = "cvqmpt-proof/1", 2e-9, 300_000
 # allowed beyond limits of position [rad or m], beyond others [shares], and beyond regions [rad, m]
 BEYOND_POSITION, BEYOND_RATES, BEYOND_REGION = 2e-6, (1e-3, 1e-2), 5e-4
-Refused = type("Refused", (Exception,), {})  # a proof that does not hold
 KINDS = ("lower", "upper", "velocity", "acceleration")
+
+
+class Refused(Exception):
+    """A proof that does not hold; the text says what fails."""
 
 
 def need(holds, text):
@@ -75,7 +78,7 @@ class Robot:
         need(not lost, f"the proof is of another robot: the URDF has no joints {lost}")
         # of each row: row above, pose in it, unit axis, kind, planned joint, factor, offset
         self.joints = [(0, origin(told["base"]), np.zeros(3), "fixed", 0, 0.0, 0.0)]
-        self.moves, self.rows = [frozenset()], {"": 0}  # joints (rows) that move each row
+        self.moves, self.rows = [set()], {"": 0}  # joints (rows) that move each row
         above = {joint.find("child").get("link"): joint for joint in self.known.values()}
         links = [link.get("name") for link in root.findall("link")]
         need(len(links) <= 500, "the URDF has more than 500 links")
@@ -194,8 +197,7 @@ def bodies_of(robot, root, told):
                 parts = [(np.outer((-0.5, 0.5), (0.0, 0.0, sizes[1])), 0.0, sizes[0])]
             else:
                 scale = tuple(array(kind.get("scale", "1 1 1").split(), 3).tolist())
-                hull = hulls.get((kind.get("filename"), scale))
-                need(hull, f"the proof has no hull of {kind.tag} {kind.get('filename')}")
+                hull = hulls[kind.get("filename"), scale]
                 parts = [shape_of(part) for part in hull["pieces"]]
             for k, (points, *sizes) in enumerate(parts):
                 part = f"{own}.{k}" if len(parts) > 1 else own
@@ -215,7 +217,7 @@ def read_motion(data, names):
         need((np.diff(t) > 0.0).all() and t[-1] < 1e6, "times do not increase")
         kinds = ("positions", "velocities", "accelerations")
         columns = [[point.get(kind) for point in found["points"]] for kind in kinds]
-        need(columns[1][0], "points have times, but no velocities: many curves go through them")
+        need(found["points"][0].get("velocities"), "many curves go through points with times alone")
     order = [found.get("joint_names", names).index(name) for name in names]
     return t, *(array(x, -1, len(names))[:, order] if x and x[0] else None for x in columns)
 
@@ -323,7 +325,7 @@ class Proof:
         return (*self.robot.poses(q), 0.5 * (high - low) + SLACK, q)
 
     def gap(self, first, second, n, placed, ranges):
-        """Return gaps (m,) [m] between two bodies along n (m, 3); second None: obstacles in ranges."""
+        """Return gaps (m,) of two bodies along n (m, 3) [m]; second None: obstacles in ranges."""
         (R, p, *_), gap = placed, np.zeros(len(n))
         n = n / np.linalg.norm(n, axis=1)[:, None]
         if second is None:
@@ -382,7 +384,7 @@ class Proof:
             at, ranges = [x[[number[key] for key in keys]] for x in placed], np.array([a, b]).T
             gap = self.gap(first, second, np.array(n), at, ranges) - self.way(first, second, at)
             k = int((gap > needed).argmin())
-            what = f"{one} and {second and other or self.obstacles[a[k]].name}, piece {keys[k][0]}"
+            what = f"{one} and {other if second else self.obstacles[a[k]].name}, piece {keys[k][0]}"
             need(gap[k] > needed, f"{what}: gap less way {gap[k]:.6g} m, needed {needed:.6g} m")
 
     def check_limits(self):

@@ -86,6 +86,7 @@ class Planes:
         compared: numbers of the pieces that are compared with obstacles.
         """
         whole, count = (0, self._proof.b.shape[1], 0, 0), len(self._proof.obstacles)
+        ends: list[tuple[int, int | None, Node]]
         ends = [(i, k, Node(whole, 0, count)) for i, k in self._directions.pairs]
         ends += [(i, None, Node(whole, 0, count)) for i in compared if count]
         pairs = [Pair(i, k, root, [root]) for i, k, root in ends]

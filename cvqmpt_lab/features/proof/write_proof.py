@@ -17,6 +17,7 @@ from cvqmpt_lab.features.proof.planes import Planes
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.source import read_source
 
+AS_JSON = "give the motion as json of a JointTrajectory, as plan --trajectory writes it"
 CHECKER = Path(cvqmpt_check.__file__)
 
 
@@ -45,6 +46,8 @@ def proof_of(problem: PlanningProblem, motion: Path) -> dict[str, Any]:
     urdf = urdf_of(problem).read_bytes()
     directions = Directions(problem.robot, problem.scene, problem.carried)
     told = claims(problem, directions, urdf)
+    if motion.is_dir():
+        raise InvalidInputError(f"{motion} is a folder; a proof is about one file: {AS_JSON}")
     given = motion.read_bytes()
     scene = json.dumps(told["obstacles"], separators=(",", ":")).encode()
     files = {"robot": urdf, "motion": given, "scene": scene}
@@ -62,8 +65,7 @@ def proof_of(problem: PlanningProblem, motion: Path) -> dict[str, Any]:
         proof = Proof(told, urdf, given)
     except (Refused, KeyError, LookupError, TypeError, ValueError) as error:
         raise InvalidInputError(
-            f"the checker cannot read {motion}, or the robot ({error}): give the motion as csv or "
-            "as json of a JointTrajectory, as plan --trajectory writes it"
+            f"the checker cannot read {motion}, or the robot ({error}): {AS_JSON}"
         ) from error
     names = _names(directions, told["carried"])
     compared = _compared(problem, directions, proof, names)
