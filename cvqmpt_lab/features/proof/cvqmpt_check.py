@@ -3,8 +3,7 @@
 It says yes if the proof, the URDF and the motion's file alone show, for every moment: compared
 bodies do not touch, obstacles are farther away than the clearance, positions, velocities and
 accelerations are within the limits, the regions of the constraint are kept. Else it says no, with
-what fails first. It prints what is not compared and not proven. It needs Python 3.9 and numpy, and
-no other file. docs/proof.md describes the format.
+what fails first. It needs Python 3.9 and numpy, no other file; docs/proof.md describes the format.
 
 Rounding. Numbers are at most 1000 and links at most 500 (checked). A pose is a product of at most
 1000 matrices with errors of about 1e-16 of their numbers: points are off by less than 1e-9 m.
@@ -76,6 +75,8 @@ class Robot:
         self.known = {joint.get("name"): joint for joint in root.findall("joint")}
         lost = [name for name in (*self.names, *self.held) if name not in self.known]
         need(not lost, f"the proof is of another robot: the URDF has no joints {lost}")
+        twice = [name for name in self.names if self.names.count(name) > 1 or name in self.held]
+        need(not twice, f"joints {twice} are planned twice, or planned and held")
         # of each row: row above, pose in it, unit axis, kind, planned joint, factor, offset
         self.joints = [(0, origin(told["base"]), np.zeros(3), "fixed", 0, 0.0, 0.0)]
         self.moves, self.rows = [set()], {"": 0}  # joints (rows) that move each row
@@ -218,7 +219,9 @@ def read_motion(data, names):
         kinds = ("positions", "velocities", "accelerations")
         columns = [[point.get(kind) for point in found["points"]] for kind in kinds]
         need(found["points"][0].get("velocities"), "many curves go through points with times alone")
-    order = [found.get("joint_names", names).index(name) for name in names]
+    given = found.get("joint_names", names)
+    need(sorted(given) == sorted(names), f"the motion moves joints {given}, the proof {names}")
+    order = [given.index(name) for name in names]
     return t, *(array(x, -1, len(names))[:, order] if x and x[0] else None for x in columns)
 
 
@@ -315,9 +318,8 @@ class Proof:
     def placed(self, keys):
         """Return what `placed_in` does for intervals."""
         found = [self.points(key) for key in keys]
-        return self.placed_in(
-            *np.array([(b.min((0, 1)), b.max((0, 1))) for b in found]).swapaxes(0, 1)
-        )
+        low, high = (np.array([f(b, axis=(0, 1)) for b in found]) for f in (np.min, np.max))
+        return self.placed_in(low, high)
 
     def placed_in(self, low, high):
         """Return poses R, p in the middle q of boxes [low, high] (m, n), their half widths, q."""
@@ -351,25 +353,22 @@ class Proof:
     def check(self):
         """Check everything; Refused says what fails first."""
         self.check_limits()
-        self.check_pairs()
-        self.check_planes()
         for region in self.told["regions"]:
             self.check_region(region)
-
-    def check_pairs(self):
-        """Check that every pair that moves against each other has planes or a reason for none."""
-        pairs = {frozenset(pair) for *pair, _ in self.told["planes"]}
+        # every pair of bodies that move against each other has planes, or a reason for none
+        pairs = [{*pair} for *pair, _ in self.told["planes"]]
         known = {frozenset(pair): reason for *pair, reason in self.told["not_compared"]}
-        bodies = {**self.bodies, **({"obstacles": None} if self.obstacles else {})}
-        for one, other in itertools.combinations(bodies, 2):
-            rows, pair = [x.row if x else 0 for x in map(bodies.get, (one, other))], {one, other}
-            between = self.robot.moves[rows[0]] ^ self.robot.moves[rows[1]]
-            if between and pair not in pairs:
-                links = frozenset(self.links.get(name, name) for name in pair)
-                reason = known.get(frozenset(pair)) or known.get(links)
+        moves = self.robot.moves
+        every = {**dict.fromkeys(["obstacles"][: len(self.obstacles)]), **self.bodies}
+        for one, other in itertools.combinations(every, 2):
+            first, second = (moves[x.row if x else 0] for x in (every[one], every[other]))
+            if first != second and {one, other} not in pairs:
+                links = frozenset(self.links.get(name, name) for name in (one, other))
+                reason = known.get(frozenset((one, other))) or known.get(links)
                 need(reason, f"{one} and {other} have neither planes nor a reason for none")
-                adjacent = reason != "adjacent" or len(between) == 1
+                adjacent = reason != "adjacent" or len(first ^ second) == 1
                 need(adjacent, f"{one} and {other} are not adjacent")
+        self.check_planes()
 
     def check_planes(self):
         """Check the planes of pairs of bodies, or of a body and the obstacles."""
@@ -417,15 +416,16 @@ class Proof:
         of all turns. Its tilt changes by at most that; sizes of the entries of its rotation vector
         by pi / 2 times that: the vector may jump to its negative at angle pi, its sizes do not.
         """
-        robot, b = self.robot, self.b
+        robot, b = self.robot, self.b  # those of intervals that are not proven
         (e, T_e), (w, T_w) = ((robot.rows[x["link"]], origin(x)) for x in region["frames"])
         joints = robot.moves[e] ^ robot.moves[w]
         hinges = [robot.joints[j][4:6] for j in joints if robot.joints[j][3] != "prismatic"]
         low, high = np.array(region["bounds"], dtype=float).reshape(9, 2).T  # null becomes nan
         low, high = np.nan_to_num(low, nan=-np.inf), np.nan_to_num(high, nan=np.inf)
-        name = f"region of {region['name']}"
-        for _ in range(40):
-            need(b.shape[1] <= MOST_INTERVALS, f"{name}: too many intervals")
+        name, total = f"region of {region['name']}", 0
+        while b.shape[1]:
+            total += b.shape[1]
+            need(total <= MOST_INTERVALS, f"{name} is not proven")
             R, p, widths, _ = placed = self.placed_in(b.min(axis=0), b.max(axis=0))
             at = R[:, e] @ T_e[:3, 3] + p[:, e]
             way, turned = robot.ways(placed, joints, at[:, None]), np.full(len(R), SLACK)
@@ -446,9 +446,6 @@ class Proof:
             need(((beyond - change) < BEYOND_REGION).all(), f"{name} is left")
             beyond = (beyond + change).max(axis=1)
             b = np.concatenate(halves(b[:, ~(beyond < BEYOND_REGION - SLACK)]), axis=1)
-            if not b.shape[1]:
-                return
-        raise Refused(f"{name} is not kept")
 
 
 def main():
@@ -472,8 +469,8 @@ def main():
     except Exception as error:  # whatever is wrong in a file, it is no proof
         print(f"no: {error}" if isinstance(error, Refused) else f"no: cannot be read: {error!r}")
         return 1
-    print(f"yes: {told['motion']} of {told['robot']}, obstacles {told['clearance']} m away:")
-    print(f"  {', '.join(x.name for x in proof.obstacles) or 'none'}")
+    print(f"yes: {told['motion']} of {told['robot']}, {told['clearance']} m away from obstacles")
+    print(f"obstacles: {', '.join(x.name for x in proof.obstacles) or 'none'}")
     print(f"hulls of {len(told['hulls'])} meshes are the proof's; {there} files have its digests")
     for pair in told["not_compared"]:
         print("not compared: {} and {} ({})".format(*pair))

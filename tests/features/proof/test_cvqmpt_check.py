@@ -17,11 +17,15 @@ from random_arms import random_urdf
 from small_arms import box, joint
 
 from cvqmpt_lab import PlanningProblem
+from cvqmpt_lab.collision.directions import Directions
 from cvqmpt_lab.features.motion.trajectory import Trajectory, save_trajectory
 from cvqmpt_lab.features.proof import cvqmpt_check
-from cvqmpt_lab.features.proof.cvqmpt_check import Proof, Refused, Robot
-from cvqmpt_lab.features.proof.write_proof import proof_of
+from cvqmpt_lab.features.proof.claims import claims
+from cvqmpt_lab.features.proof.cvqmpt_check import Proof, Refused, Robot, bodies_of
+from cvqmpt_lab.features.proof.write_proof import proof_of, urdf_of
+from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.load import robot_from_source
+from cvqmpt_lab.scene.scene import Scene
 
 CHECKER = Path(cvqmpt_check.__file__)
 START, END = np.array([-0.8, 0.0]), np.array([0.8, 0.4])
@@ -199,6 +203,11 @@ CHANGES = {
     "of another scene: its sha256": lambda p: p["obstacles"].clear(),
     "its schema is 'cvqmpt-proof/9'": lambda p: p.update(schema="cvqmpt-proof/9"),
     "its clearance is negative": lambda p: p.update(clearance=-1.0),
+    "['elbow'] are planned twice, or planned and held": lambda p: p["held"].update(elbow=0.0),
+    "the motion moves joints ['shoulder', 'elbow'], the proof ['shoulder']": lambda p: (
+        p["joints"].remove("elbow"),
+        p["held"].update(elbow=0.0),
+    ),
     "joint elbow is neither planned nor held": lambda p: p["joints"].remove("elbow"),
     "no joints ['wrist']": lambda p: p["joints"].append("wrist"),
     "base_0 and fore_0 are not adjacent": lambda p: (
@@ -229,3 +238,28 @@ def test_a_motion_that_goes_farther_is_refused_with_its_own_digest(given):
     data, proof = json.dumps(motion).encode(), copy.deepcopy(proof)
     proof["sha256"]["motion"] = hashlib.sha256(data).hexdigest()
     assert "shoulder exceeds its velocity limit" in checked(given, proof, data)
+
+
+@pytest.mark.parametrize("name", ["panda", "so-arm101", "baxter-left"])
+def test_bodies_contain_those_of_the_toolkit(name):
+    robot = robot_from_source({"name": name})
+    q = robot.random_configurations(np.random.default_rng(0), 2)
+    problem = PlanningProblem("p", robot, Scene("s", ()), q[0], q[1:])
+    urdf = urdf_of(problem).read_bytes()
+    told = claims(problem, Directions(robot, problem.scene, ()), urdf)
+    root = ElementTree.fromstring(urdf)
+    own = Robot(root, told)
+    bodies = {body.name: body for body, _ in bodies_of(own, root, told)}
+    assert set(bodies) == {piece.name for piece in robot.links}
+    R, p = own.poses(q)
+    rotations, translations = link_poses(robot.kinematics, q)
+    n = np.random.default_rng(1).normal(size=(20, 3))
+    n /= np.linalg.norm(n, axis=1)[:, None]
+    for piece in robot.links:
+        body, row = bodies[piece.name], bodies[piece.name].row
+        corners = piece.vertices_in_link @ rotations[1, piece.link].T + translations[1, piece.link]
+        larger = body.reach(n @ R[1, row]) + n @ p[1, row] - (corners @ n.T).max(axis=0)
+        round_body = (
+            body.disc > 0.0 or len(body.points) == 1
+        )  # the toolkit has a polytope around it
+        assert round_body or (larger.min() > -1e-9 and larger.max() < 1e-4)

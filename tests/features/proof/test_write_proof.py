@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from refusals import refused
 
+from cvqmpt_lab.cli.main import main
 from cvqmpt_lab.features.motion.trajectory import Trajectory, as_csv, save_trajectory
 from cvqmpt_lab.features.proof.cvqmpt_check import Proof
 from cvqmpt_lab.features.proof.write_proof import proof_of, urdf_of, write_proof
@@ -95,3 +96,17 @@ def test_a_load_on_a_tool_is_where_the_tool_is(tmp_path):
     proof = proof_of(problem, saved(tmp_path, robot, STATES))
     assert proof["carried"][0]["link"] == "tool0"
     assert np.allclose(proof["carried"][0]["points"], [[0.0, 0.0, 0.3]])
+
+
+def test_certify_writes_a_proof_of_a_certified_motion_alone(ur5, tmp_path, capsys):
+    problem, motion = problem_with(ur5, STATES), saved(tmp_path, ur5, STATES)
+    problem.save(tmp_path / "problem.json")
+    command = ["certify", str(motion), str(tmp_path / "problem.json")]
+    command += ["--proof", str(tmp_path / "p.json")]
+    assert main(command) == 0
+    assert "check it by: python" in capsys.readouterr().err
+    (tmp_path / "p.json").unlink()
+    saved(tmp_path, ur5, STATES, span=0.1)  # too fast
+    assert main(command) == 1
+    assert "no proof is written" in capsys.readouterr().err
+    assert not (tmp_path / "p.json").exists()
