@@ -79,7 +79,8 @@ class Robot:
         need(not twice, f"joints {twice} are planned twice, or planned and held")
         # of each row: row above, pose in it, unit axis, kind, planned joint, factor, offset
         self.joints = [(0, origin(told["base"]), np.zeros(3), "fixed", 0, 0.0, 0.0)]
-        self.moves, self.rows = [set()], {"": 0}  # joints (rows) that move each row
+        self.moves: list[frozenset] = [frozenset()]  # joints (their rows) that move each row
+        self.rows = {"": 0}
         above = {joint.find("child").get("link"): joint for joint in self.known.values()}
         links = [link.get("name") for link in root.findall("link")]
         need(len(links) <= 500, "the URDF has more than 500 links")
@@ -97,7 +98,7 @@ class Robot:
                 axis = axis / max(np.linalg.norm(axis), 1e-9)
                 leader = (0, 0.0, 0.0) if still else self.leader(name)
                 entry = self.rows[parent], origin(attributes(joint, "origin")), axis, kind, *leader
-            self.moves.append(self.moves[entry[0]] | ({len(self.joints)} if entry[5] else set()))
+            self.moves.append(self.moves[entry[0]].union([len(self.joints)] if entry[5] else []))
             self.rows[link] = len(self.joints)
             self.joints.append(entry)
 
