@@ -57,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
         )
     if args.path.is_dir() and not is_bag(args.path):
         why = "goes with one motion; give its file"
-        refuse_given(args, ["save", "request", "scene", "attachments"], why)
+        refuse_given(args, ["save", "request", "scene", "attachments", "proof"], why)
     if (args.path / "task.json").is_file():
         return _certify_task(args)
     if args.path.is_dir() and not is_bag(args.path):
@@ -138,7 +138,26 @@ def _told(
         verdict = report.lines[0].partition(";")[0]
         write_text(path, path_html(problem, states, verdict, times=times, lines=report.lines))
     print(json.dumps(report.data, indent=1, allow_nan=False) if args.json else report)
+    if args.proof:
+        _prove(args.proof, problem, args.path, judged)
     return 0 if judged.certified else 1
+
+
+def _prove(proof: Path, problem: PlanningProblem, motion: Path, judged: Judgement) -> None:
+    """Write the proof of a certified motion; say how it is checked.
+
+    Args:
+        proof: its file.
+        problem: what the motion was judged for.
+        motion: file of the motion.
+        judged: the judgement.
+    """
+    from cvqmpt_lab.features.proof.write_proof import write_proof  # few motions need it
+
+    if not judged.certified:
+        log("no proof is written: the motion is not certified")
+        return
+    log(f"proof written, check it by: {write_proof(proof, problem, motion)}")
 
 
 def _by_request(args: argparse.Namespace, motion: Motion) -> tuple[PlanningProblem, Judgement]:
@@ -375,6 +394,11 @@ OPTIONS: Options = {
         type=partial(file_of_kind, "--save", (".html", ".csv")),
         metavar="MOTION.html|CLEARANCE.csv",
         **REPEATED,
+    ),
+    "--proof": option(
+        "write a proof of a certified motion, which anybody can check without this toolkit",
+        type=partial(file_of_kind, "--proof", (".json",)),
+        metavar="P.json",
     ),
     "--current": option(
         "current configuration of the arm, in quotes [rad], or a file with a JointState; the "

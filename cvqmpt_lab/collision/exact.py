@@ -83,7 +83,7 @@ class CollisionChecker:
         self.robot, self.margin, self._clearance = robot, margin, clearance
         self.outer = margin + clearance  # kept from obstacles [m]
         self._model, self._data = robot.model, robot.model.createData()
-        self._geometry = _robot_geometry(robot, attachments)
+        self._geometry = robot_geometry(robot, attachments)
         self._own_results = pin.GeometryData(self._geometry)
         _forget_guesses(self._own_results)
         for request in self._own_results.collisionRequests:
@@ -477,7 +477,7 @@ def _box_gaps(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     return np.sqrt(np.einsum("iab,iab->ab", apart, apart))
 
 
-def _robot_geometry(robot: Robot, attachments: Sequence[Attachment]) -> pin.GeometryModel:
+def robot_geometry(robot: Robot, attachments: Sequence[Attachment]) -> pin.GeometryModel:
     """Geometry of the robot and its attachments, with the pairs to check."""
     geometry = robot.collision_model.copy()
     carried = []
