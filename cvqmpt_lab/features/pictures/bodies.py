@@ -102,6 +102,15 @@ class Drawing:
     unseen: Sequence[str] = ()  # lines on space that nobody saw, in amber on a web page
 
     @property
+    def under(self) -> float:
+        """Height of the ground [m]: the floor, or the lowest point of scene and motion."""
+        if self.ground is not None:
+            return self.ground
+        some = range(0, len(self.labels), max(1, len(self.labels) // 10))
+        meshes = [mesh_of(self.scene), *(mesh_of(self.moving, k) for k in some)]
+        return lowest_point(*meshes)
+
+    @property
     def floor(self) -> list[Body]:
         """A square plate with its top at height `ground`; empty if there is no floor."""
         if self.ground is None:
@@ -156,6 +165,11 @@ def ground_height(scene: Scene) -> float | None:
         if isinstance(item.shape, Box) and not item.obstacle
     ]
     return max(tops, default=None)
+
+
+def lowest_point(*meshes: Mesh) -> float:
+    """Height of the lowest corner of some meshes [m]; 0 if they have none."""
+    return min((float(m.corners[..., 2].min()) for m in meshes if len(m.corners)), default=0.0)
 
 
 def robot_bodies(

@@ -153,7 +153,7 @@ def _simplified_meshes(
     """Return the simplified meshes by path and scale; None for unreadable files."""
     wanted = list(dict.fromkeys(visual.file for visual in visuals))
     # robots of many links have coarser ones, so that pages stay small
-    most = min(max(24_000 // max(len(visuals), 1), 300), 1200)
+    most = min(max(40_000 // max(len(visuals), 1), 300), 3000)
     made_of = [f"{sources_digest(Path(__file__))} {most}"]
     made_of += [f"{content_digest(path)} {scale}" for path, scale in wanted]
 

@@ -22,11 +22,13 @@ from cvqmpt_lab.features.pictures.bodies import (
     mesh_of,
 )
 from cvqmpt_lab.features.pictures.curves import Plot
-from cvqmpt_lab.features.pictures.raster import clear_viewpoint
+from cvqmpt_lab.features.pictures.meshes import Mesh, shape_mesh
+from cvqmpt_lab.features.pictures.raster import Viewpoint, clear_viewpoint
 from cvqmpt_lab.features.tasks.solve import TaskSolution
 from cvqmpt_lab.planning.solution import Solution
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.scene.scene import Attachment
+from cvqmpt_lab.scene.shapes import Box
 from cvqmpt_lab.search.result import JointPath
 
 PAGE_TEMPLATE = Path(__file__).with_name("plan_page.html")
@@ -83,57 +85,48 @@ def path_html(
     return _html(drawing if times is None else replace(drawing, times=times))
 
 
-def _html(drawing: Drawing, size: tuple[int, int] = (1100, 600)) -> str:
+def _html(drawing: Drawing, size: tuple[int, int] = (940, 720)) -> str:
     """Text of the html page.
 
     Args:
         drawing: the drawing.
         size: width and height [pixels] for which the initial viewpoint is chosen.
     """
-    # choose a viewpoint that shows the robot at the start of a task, or at both ends of a path
-    ends = (0,) if drawing.times is not None else (0, len(drawing.labels) - 1)
-    robot = [body for body in drawing.moving if body.layer == "robot"]
-    views = [mesh_in_view(robot, k) for k in ends]
-    # and that contains the whole motion, tested at about ten states
-    count = len(drawing.labels)
-    inside = [mesh_in_view(drawing.moving, k) for k in range(0, count, max(1, count // 10))]
-    torso = mesh_of(body for body in robot if body.torso)
-    viewpoint = clear_viewpoint(views, mesh_of(drawing.scene), size, inside, torso)
-    bodies = drawing.bodies("goals", "path", "constraint", "hand")
-    meshes = list(dict.fromkeys(body.mesh for body in bodies))
+    viewpoint = _viewpoint(drawing, size)
+    bodies = [*drawing.scene, *drawing.moving]
+    for layer in drawing.layers("start", "goals", "path", "constraint", "hand").values():
+        bodies += layer
+    square = shape_mesh(Box((40.0, 40.0, 1e-3)))
+    meshes = list(dict.fromkeys((square, *(body.mesh for body in bodies))))
     offset = np.subtract(viewpoint.eye, viewpoint.target)
     distance = float(np.linalg.norm(offset))
-    labels = list(drawing.labels)
-    if drawing.times is not None:
-        labels = [f"{name}, {t:.1f} s" for name, t in zip(labels, drawing.times, strict=True)]
+    times = drawing.times
     data = {
         "title": drawing.title,
         "lines": list(drawing.lines),
         "unseen": list(drawing.unseen),
-        "states": len(labels),
-        "labels": labels,
+        "states": len(drawing.labels),
+        "labels": _labels(drawing),
+        "times": None if times is None else [round(float(t), 4) for t in times],
         # duration of the animation [s]
-        "seconds": 6.0 if drawing.times is None else max(float(np.ptp(drawing.times)), 1.0),
+        "seconds": 6.0 if times is None else max(float(np.ptp(times)), 1.0),
         "camera": {
             "target": list(map(float, viewpoint.target)),
             "distance": distance,
             "azimuth": math.atan2(offset[1], offset[0]),
             "elevation": math.asin(offset[2] / distance),
             "angle": viewpoint.height_angle,
+            "aspect": size[0] / size[1],
         },
-        "meshes": [
-            {
-                "positions": _base64(points.astype("<f4")),
-                # integers from -127 to 127
-                "normals": _base64(np.round(127 * normals).astype(np.int8)),
-                "faces": _base64(faces.astype("<u4")),
-            }
-            for points, normals, faces in (mesh.shared for mesh in meshes)
-        ],
+        "ground": drawing.under,
+        "square": 0,  # index of the mesh of the ground
+        "box": _shadowed(drawing),
+        "meshes": [_mesh(mesh) for mesh in meshes],
         "bodies": [
             {
                 "group": body.group,
-                "colour": list(map(float, body.colour)),
+                "layer": body.layer.split("/")[0],
+                "colour": [round(float(part), 4) for part in body.colour],
                 "opacity": body.opacity,
                 "mesh": meshes.index(body.mesh),
                 "poses": _base64(body.poses[:, :3].astype("<f4")),
@@ -146,6 +139,56 @@ def _html(drawing: Drawing, size: tuple[int, int] = (1100, 600)) -> str:
     text = json.dumps(data, allow_nan=False).replace("<", "\\u003c")
     page = PAGE_TEMPLATE.read_text(encoding="utf-8")
     return page.replace(PAGE_DATA_ELEMENT, PAGE_DATA_ELEMENT.replace("{}", text))
+
+
+def _viewpoint(drawing: Drawing, size: tuple[int, int]) -> Viewpoint:
+    """Viewpoint that shows the robot at the start of a timed motion, or at both ends of a path.
+
+    The whole motion is in the picture, tested at about ten states.
+    """
+    count = len(drawing.labels)
+    ends = (0,) if drawing.times is not None else (0, count - 1)
+    robot = [body for body in drawing.moving if body.layer == "robot"]
+    views = [mesh_in_view(robot, k) for k in ends]
+    inside = [mesh_in_view(drawing.moving, k) for k in range(0, count, max(1, count // 10))]
+    torso = mesh_of(body for body in robot if body.torso)
+    return clear_viewpoint(views, mesh_of(drawing.scene), size, inside, torso)
+
+
+def _labels(drawing: Drawing) -> list[str]:
+    """Text beside the slider at each state: seconds where the motion is timed."""
+    if drawing.times is None:
+        return list(drawing.labels)
+    end = drawing.times[-1]
+    names = (f", {name}" if not name.startswith("state ") else "" for name in drawing.labels)
+    times = drawing.times.tolist()
+    return [f"{t:.1f} of {end:.1f} s{name}" for t, name in zip(times, names, strict=True)]
+
+
+def _shadowed(drawing: Drawing) -> dict[str, Any]:
+    """Ball in which bodies cast shadows: around scene and robot, at most 2.6 m in radius."""
+    corners = mesh_of([*drawing.scene, *drawing.moving]).corners
+    robot = mesh_of(drawing.moving).corners
+    low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
+    middle = 0.5 * (robot.min(axis=(0, 1)) + robot.max(axis=(0, 1)))
+    away = np.maximum(high - middle, middle - low)
+    return {"middle": middle.tolist(), "radius": min(float(np.linalg.norm(away)), 2.6)}
+
+
+def _mesh(mesh: Mesh) -> dict[str, Any]:
+    """Mesh as plain data for json: positions as shares of its box, in 16 bits."""
+    points, normals, faces = mesh.shared
+    low, high = points.min(axis=0), points.max(axis=0)
+    size = np.maximum(high - low, 1e-9)
+    wide = len(points) > 65_535
+    return {
+        "low": [float(f"{x:.7g}") for x in low],
+        "size": [float(f"{x:.7g}") for x in size],
+        "positions": _base64(np.round(65_535 * (points - low) / size).astype("<u2")),
+        "normals": _base64(np.round(127 * normals).astype(np.int8)),
+        "faces": _base64(faces.astype("<u4" if wide else "<u2")),
+        "wide": wide,  # whether indices have 32 bits
+    }
 
 
 def _base64(array: np.ndarray) -> str:
