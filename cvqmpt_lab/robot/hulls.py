@@ -165,7 +165,37 @@ def triangles_of_file(path: str, scale: Sequence[float]) -> tuple[np.ndarray, np
     mesh = coal.MeshLoader().load(path, np.array(scale))
     faces = [[face[0], face[1], face[2]] for face in map(mesh.tri_indices, range(mesh.num_tris))]
     points = np.array(mesh.vertices(), dtype=float).reshape(-1, 3)
-    return points, np.array(faces, dtype=int).reshape(-1, 3)
+    indices = np.array(faces, dtype=int).reshape(-1, 3)
+    if len(np.unique(indices)) == len(points):
+        return points, indices
+    return _triangles_of_parts(path, scale, points)
+
+
+def _triangles_of_parts(
+    path: str, scale: Sequence[float], expected: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return vertices and triangles of a file with several parts, e.g. one of each material.
+
+    coal's loader counts the vertices of each part from 0, so that triangles of later parts have
+    corners of the first one, and vertices remain that no triangle has.
+
+    Args:
+        path: path of the file.
+        scale: factors (3,) of x, y, z.
+        expected: vertices (n, 3) by coal's loader, which are right [m].
+
+    Raises ValueError if the vertices are elsewhere.
+    """
+    import trimesh  # takes 1 s to import
+
+    mesh = trimesh.load_mesh(path, process=False)
+    points = np.asarray(mesh.vertices, dtype=float).reshape(-1, 3) * scale
+    faces = np.asarray(mesh.faces, dtype=int).reshape(-1, 3)
+    length = np.ptp(expected, axis=0).max()
+    ends = [(each.min(axis=0), each.max(axis=0)) for each in (points, expected) if len(each)]
+    if len(ends) < 2 or not np.allclose(*ends, atol=1e-4 * length):
+        raise ValueError(f"the parts of {path} cannot be told apart; export it as one mesh")
+    return points, faces
 
 
 def _are_polytope(points: np.ndarray, corners: np.ndarray) -> bool:

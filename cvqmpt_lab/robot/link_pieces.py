@@ -134,7 +134,11 @@ def gaps_of_meshes(meshes: Iterable[MeshFile], digests: Mapping[str, str]) -> di
 
         gaps = {}
         for k, mesh in enumerate(listed):
-            triangles = _triangles(mesh)
+            try:
+                triangles = _triangles(mesh)
+            except ValueError:  # the whole hull contains the mesh in any case
+                gaps[str(k)] = np.array(0.0)
+                continue
             thick = thickness(triangles.reshape(-1, 3)) > 2.0 * convex.MIN_THICKNESS_M
             fine = len(triangles) > MOST_TRIANGLES
             gaps[str(k)] = np.array(hull_gap(triangles) if thick and not fine else 0.0)
@@ -197,8 +201,9 @@ def pieces_of_meshes(
 
 def _sources() -> str:
     """Return the digest of the files that cut meshes."""
+    folder = Path(convex.__file__).parent
     return sources_digest(
-        Path(convex.__file__), Path(convex.__file__).with_name("convex_pieces.py")
+        folder / "convex.py", folder / "convex_pieces.py", Path(__file__).with_name("hulls.py")
     )
 
 
