@@ -134,11 +134,7 @@ def gaps_of_meshes(meshes: Iterable[MeshFile], digests: Mapping[str, str]) -> di
 
         gaps = {}
         for k, mesh in enumerate(listed):
-            try:
-                triangles = _triangles(mesh)
-            except ValueError:  # the whole hull contains the mesh in any case
-                gaps[str(k)] = np.array(0.0)
-                continue
+            triangles = _triangles(mesh)
             thick = thickness(triangles.reshape(-1, 3)) > 2.0 * convex.MIN_THICKNESS_M
             fine = len(triangles) > MOST_TRIANGLES
             gaps[str(k)] = np.array(hull_gap(triangles) if thick and not fine else 0.0)
