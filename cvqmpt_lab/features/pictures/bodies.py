@@ -298,6 +298,7 @@ def drawing_of_solution(
     plots: bool = False,
     goals: int = 1,
     hidden: Sequence[str] = HIDDEN_OBJECTS,
+    path: JointPath | None = None,
 ) -> Drawing:
     """Drawing of a solution of a problem or task.
 
@@ -309,12 +310,13 @@ def drawing_of_solution(
         plots: whether there are plots along the path or task.
         goals: largest number of goals drawn if there is no path.
         hidden: names of scene objects that are not drawn.
+        path: states of a motion along the path of a problem; None: the path.
     """
     if isinstance(solution, TaskSolution):
         return drawing_of_task(solution, hidden=hidden, plots=plots)
     return drawing_of_problem(
         solution.problem,
-        solution.path,
+        path or solution.path,
         carried,
         most_states,
         goals=goals,

@@ -9,7 +9,7 @@ from base64 import b64encode
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -31,6 +31,9 @@ from cvqmpt_lab.scene.scene import Attachment
 from cvqmpt_lab.scene.shapes import Box
 from cvqmpt_lab.search.result import JointPath
 
+if TYPE_CHECKING:
+    from cvqmpt_lab.features.motion.trajectory import Trajectory
+
 PAGE_TEMPLATE = Path(__file__).with_name("plan_page.html")
 # element of the template; {} is replaced by the data
 PAGE_DATA_ELEMENT = '<script type="application/json" id="data">{}</script>'
@@ -41,6 +44,8 @@ def save_page(
     path: Path,
     carried: Sequence[Attachment] = (),
     most_states: int = 400,
+    motion: "Trajectory | None" = None,
+    name: str = "",
 ) -> None:
     """Write a solution or a task as one html file; a task is shown up to the phase that failed.
 
@@ -49,8 +54,21 @@ def save_page(
         path: the file to write.
         carried: objects drawn in the hand if the problem has no attachments.
         most_states: a path of more states is resampled to this number, at equal distances.
+        motion: motion along the path of a problem, shown over its seconds; None: the path.
+        name: first words of the title; "": the name of the problem or task.
     """
-    write_text(path, _html(drawing_of_solution(solution, carried, most_states, plots=True)))
+    if motion is not None and isinstance(solution, Solution):
+        # a tenth of a second between states, or longer
+        sampled = motion.sampled(max(0.1, motion.duration / (most_states - 1)))
+        drawing = drawing_of_solution(
+            solution, carried, plots=True, path=JointPath(sampled.positions)
+        )
+        drawing = replace(drawing, times=sampled.times)
+    else:
+        drawing = drawing_of_solution(solution, carried, most_states, plots=True)
+    if name:
+        drawing = replace(drawing, title=f"{name}: {drawing.title.partition(': ')[2]}")
+    write_text(path, _html(drawing))
 
 
 def path_html(
