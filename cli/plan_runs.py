@@ -381,7 +381,7 @@ def serve(args: argparse.Namespace) -> None:
 
     problem = _of_page(args)
     compile_kernels(compiling())
-    page = studio(problem, args.port)
+    page = studio(problem, args.port, _named(args))
     interrupts: list[int] = []
     # Python would lose a KeyboardInterrupt that comes while it collects garbage
     signal.signal(signal.SIGINT, lambda number, _: interrupts.append(number))

@@ -46,6 +46,7 @@ BODY_COLOURS: Mapping[str, Colour] = {
     "load": (0.86, 0.24, 0.20),
     "trace": (0.96, 0.55, 0.05),
     "constraint": (0.60, 0.25, 0.72),
+    "chosen": (0.93, 0.16, 0.55),  # outline of what is chosen in the studio
 }
 # colours of scene objects by the beginning of a word in their name; the first match is used
 OBJECT_COLOURS: Mapping[str, Colour] = {

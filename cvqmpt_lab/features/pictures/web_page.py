@@ -38,6 +38,12 @@ PAGE_TEMPLATE = Path(__file__).with_name("plan_page.html")
 # element of the template; {} is replaced by the data
 PAGE_DATA_ELEMENT = '<script type="application/json" id="data">{}</script>'
 
+# colours of curves, and of their bounds
+PALETTE = (
+    "#1f6fb4", "#d1662a", "#2e8b57", "#8a4fa3", "#b8336a", "#8c6d1f", "#3aa6a6", "#70757d",
+)  # fmt: skip
+BOUND_COLOUR = "#cc3333"
+
 
 def save_page(
     solution: Solution | TaskSolution,
@@ -214,12 +220,7 @@ def _base64(array: np.ndarray) -> str:
     return b64encode(array.tobytes()).decode()
 
 
-def _plot(
-    plot: Plot,
-    palette: Sequence[str] = (
-        "#1f6fb4", "#d1662a", "#2e8b57", "#8a4fa3", "#b8336a", "#8c6d1f", "#3aa6a6", "#70757d",
-    ),
-) -> dict[str, Any]:  # fmt: skip
+def _plot(plot: Plot) -> dict[str, Any]:
     """Plot as plain data for json; bounds are red, and numbers that are not finite become null."""
     low, high = plot.extremes
     margin = 0.08 * max(high - low, 1e-3)
@@ -231,7 +232,7 @@ def _plot(
             {
                 "name": name,
                 "values": [float(f"{x:.6g}") if math.isfinite(x) else None for x in values],
-                "colour": "#cc3333" if bound else palette[k % len(palette)],
+                "colour": BOUND_COLOUR if bound else PALETTE[k % len(PALETTE)],
                 "width": 1.0 if bound else plot.width,
                 "bound": bound,
             }
