@@ -187,19 +187,17 @@ def _triangles_of_parts(
         scale: factors (3,) of x, y, z.
         expected: vertices (n, 3) by coal's loader, which are right [m].
     """
-    import trimesh  # takes 1 s to import
+    from cvqmpt_lab.base.mesh_parts import hull_faces, points_and_faces  # 1 s to import
 
-    mesh = trimesh.load_mesh(path, process=False)
-    points = np.asarray(mesh.vertices, dtype=float).reshape(-1, 3) * scale
-    faces = np.asarray(mesh.faces, dtype=int).reshape(-1, 3)
+    points, faces = points_and_faces(path)
+    points = points * scale
     near = 1e-4 * np.ptp(expected, axis=0).max()
     if len(points):
         low, high = points.min(axis=0), points.max(axis=0)
         ends = np.abs([low - expected.min(axis=0), high - expected.max(axis=0)])
         if ends.max() < near:
             return points, faces
-    hull = trimesh.Trimesh(expected, process=False).convex_hull
-    return np.asarray(hull.vertices), np.asarray(hull.faces)
+    return hull_faces(expected)
 
 
 def _are_polytope(points: np.ndarray, corners: np.ndarray) -> bool:

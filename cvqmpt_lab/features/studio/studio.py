@@ -69,7 +69,9 @@ def studio(problem: PlanningProblem, port: int = 8090, name: str = "") -> "Studi
         ) from error
     guard = Guard()
     with guard.installed():
-        server = viser.ViserServer("127.0.0.1", port, f"cvqmpt: {name or problem.name}", verbose=False)
+        server = viser.ViserServer(
+            "127.0.0.1", port, f"cvqmpt: {name or problem.name}", verbose=False
+        )
     if not guard.started:
         server.stop()
         raise InvalidInputError(
@@ -463,9 +465,13 @@ class StudioPage:
                     corners, faces = thinner(body)
                     opacity = body.opacity if body.opacity < 1.0 else None
                     node = scene.add_mesh_simple(
-                        name, corners, faces, color=body.colour, opacity=opacity,
+                        name,
+                        corners,
+                        faces,
+                        color=body.colour,
+                        opacity=opacity,
                         cast_shadow=opacity is None,
-                    )  # fmt: skip
+                    )
                     self._draw_edges(name, body)
                     _place(node, body.poses[0])
                     if (mover := _mover_of(body)) in self._chosen.options:

@@ -60,7 +60,7 @@ def timed(response: Response) -> Timed | None:
     return Timed(drawing, plots_along(problem, states), times)
 
 
-def outline(mesh: Mesh, sharp: float = 0.6) -> np.ndarray:
+def outline(mesh: Mesh, sharp: float = 0.8) -> np.ndarray:
     """Edges (k, 2, 3) [m] of a mesh at which facets meet at more than `sharp` [rad], or end."""
     corners = mesh.corners
     facing = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

@@ -1,5 +1,5 @@
 // Runs the script of a page without a browser and prints the legends of its plots, a line each.
-// node run_page.js PAGE.html STATE
+// node run_page.js PAGE.html STATE [EXPRESSION]; the value of an expression is printed last
 const page = require("fs").readFileSync(process.argv[2], "utf8");
 const [data, script] = [...page.matchAll(/<script[^>]*>([^]*?)<\/script>/g)].map((found) => found[1]);
 
@@ -17,5 +17,6 @@ globalThis.document = { getElementById: byName, createElement: () => new Element
 globalThis.getComputedStyle = () => ({ getPropertyValue: () => "#123456" });
 globalThis.window = {};
 globalThis.location = { hash: `#${process.argv[3]}` };
-(0, eval)(script);
+(0, eval)(script + (process.argv[4] ? `;globalThis.found = ${process.argv[4]}` : ""));
 for (const child of byName("plots").children) console.log(child.text);
+if (process.argv[4]) console.log(JSON.stringify(globalThis.found));
