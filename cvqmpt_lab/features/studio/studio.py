@@ -1,6 +1,6 @@
 """Page in the browser on which start, goal and obstacles are moved, and the path follows.
 
-The only module that imports viser, which serves the page. All tabs of the page show the same state.
+viser serves the page. All tabs of the page show the same state.
 """
 
 import html
@@ -32,7 +32,6 @@ from cvqmpt_lab.features.pictures.bodies import (
 )
 from cvqmpt_lab.features.pictures.meshes import Colour, shape_mesh
 from cvqmpt_lab.features.pictures.raster import clear_viewpoint
-from cvqmpt_lab.features.pictures.web_page import BOUND_COLOUR, PALETTE
 from cvqmpt_lab.features.studio.studio_guard import Guard, is_choice, is_number, is_switch
 from cvqmpt_lab.features.studio.studio_look import (
     GHOST_LAYERS,
@@ -43,6 +42,7 @@ from cvqmpt_lab.features.studio.studio_look import (
     timed,
 )
 from cvqmpt_lab.features.studio.studio_planning import Response, Studio
+from cvqmpt_lab.features.studio.studio_plots import PlotPanel
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import SLOW_SPEED
 
@@ -92,7 +92,6 @@ class StudioPage:
         self._nodes: dict[str, tuple[Body, Any]] = {}  # bodies and nodes of the scene by name
         self._edges: dict[str, Any] = {}  # nodes of outlines, by the name of the body's node
         self._timed: Timed | None = None  # the timed path, some time after the response
-        self._plots: list[Any] = []
         self._timer: threading.Timer | None = None
         self._moving: list[tuple[Any, np.ndarray]] = []  # nodes, and their poses along the path
         self._points: list[Any] = []  # nodes of `sampled_hands`
@@ -145,6 +144,8 @@ class StudioPage:
         }
         for name, element in self._controls.items():
             element.on_update(partial(self._change, name))
+        self._where = gui.add_html("")
+        self._plots = PlotPanel(gui, gui.add_folder("plots"))
         with gui.add_folder("joints of the start [rad or m]", expand_by_default=False):
             # limits are rounded inwards, because the page rounds to steps
             limits = np.ceil(1e3 * problem.robot.lower), np.floor(1e3 * problem.robot.upper)
@@ -152,8 +153,6 @@ class StudioPage:
                 joint = slider(problem.robot.joint_names[k], least, most, 0.001, least)
                 joint.on_update(partial(self._move_joint, k))
                 self._joints.append(joint)
-        self._where = gui.add_html("")
-        self._plot_folder = gui.add_folder("plots")
         dark = switch(gui.add_checkbox("dark", False))
         dark.on_update(lambda event: self._set_theme(event.target.value))
         with gui.add_folder("details", expand_by_default=False):
@@ -385,9 +384,7 @@ class StudioPage:
             if self.live.response is not response:
                 return
             with self.server.atomic():
-                for plot in self._plots:
-                    plot.remove()
-                self._plots = [] if shown is None else self._uplots(shown)
+                self._plots.show(shown)
                 if shown is not None:
                     self._timed = shown
                     named = {_node_of(body): body for body in shown.drawing.bodies("hand")}
@@ -397,32 +394,6 @@ class StudioPage:
                         if len(body.poses) > 1 and name in self._nodes
                     ]
                 self._pose_robot()
-
-    def _uplots(self, shown: Timed) -> list[Any]:
-        """Draw the plots of a timed path on the panel."""
-        from viser import uplot
-
-        made, unit = [], "s" if shown.times is not None else "state"
-        across = shown.across.astype(float)
-        with self._plot_folder:
-            for plot in shown.plots:
-                lines = plot.lines
-                series = [uplot.Series(label=unit)]
-                for k, name in enumerate(lines):
-                    bound = name in plot.bounds
-                    colour = BOUND_COLOUR if bound else PALETTE[k % len(PALETTE)]
-                    series.append(uplot.Series(label=name, stroke=colour, width=1 if bound else 2))
-                made.append(
-                    self.server.gui.add_uplot(
-                        (across, *(np.asarray(values, float) for values in lines.values())),
-                        tuple(series),
-                        title=plot.title,
-                        # the time is the number of a state, not a date
-                        scales={"x": uplot.Scale(time=False)},
-                        height=170,
-                    )
-                )
-        return made
 
     def _show_wait(self) -> None:
         """Say that a response takes its time; called in a thread of its own."""

@@ -393,7 +393,7 @@ def test_a_certified_path_gets_seconds_and_plots_and_the_slider_follows_them(pag
     page.live.wait(page.live.reset())
     shown(page)
     timed = until(lambda: page._timed)
-    until(lambda: len(page._plots) == len(timed.plots))
+    until(lambda: len(page._plots.made) == len(timed.plots))
     assert {"clearance [mm]", "joints [rad] or [m]"} < {plot.title for plot in timed.plots}
     page._slider.value = 1.0
     page._pose_robot()
@@ -444,7 +444,9 @@ def test_joints_of_the_start_are_moved_onto_the_constraint_or_say_why_not(fresh)
 def pixel(client, tab, point):
     """Return the pixel of a tab at which its client sees a point (3,)."""
     at, ahead = client.camera.position, client.camera.look_at - client.camera.position
-    canvas = "[...document.querySelectorAll('canvas')].pop()"
+    # the largest one; those of plots are smaller
+    canvas = "[...document.querySelectorAll('canvas')].reduce((a, b) => "
+    canvas += "a.clientHeight > b.clientHeight ? a : b)"
     width, height = (tab.value(f"{canvas}.{name}") for name in ("clientWidth", "clientHeight"))
     right = np.cross(ahead, (0.0, 0.0, 1.0))
     axes = np.stack([right, np.cross(ahead, right), ahead])
@@ -462,16 +464,6 @@ def test_a_mouse_moves_a_drawer_and_a_joint_undoes_both_and_saves(page, tmp_path
         (client,) = page.server.get_clients().values()
         until(lambda: np.allclose(client.camera.position, page.server.initial_camera.position))
         assert f"cvqmpt: {live.problem.name}" in tab.text()
-        start, target = client.camera.position, page.server.initial_camera.look_at
-        tab.click("top", lambda: client.camera.position[2] > target[2] + 2.0)
-        assert client.camera.position[:2] == pytest.approx(target[:2], abs=0.2)
-        button = tab.value(  # "reset" of the views, not of the problem
-            "(() => { const e = [...document.querySelectorAll('button')]"
-            ".filter((e) => e.textContent.trim() === 'reset').pop();"
-            "const r = e.getBoundingClientRect();"
-            "return [r.x + r.width / 2, r.y + r.height / 2]; })()"
-        )
-        tab.click(button, lambda: np.allclose(client.camera.position, start, atol=1e-3))
         T = live.groups[name][0].T_world_object
         tab.click(pixel(client, tab, T[:3, 3]), lambda: page._chosen.value == name)
 
@@ -486,7 +478,7 @@ def test_a_mouse_moves_a_drawer_and_a_joint_undoes_both_and_saves(page, tmp_path
         assert shift[2] > 0.05 and shift[:2] == pytest.approx([0.0, 0.0])
         tab.click("undo", lambda: not live.request.moved)
         live.wait()
-        until(lambda: "certified" in tab.text())  # after which nothing moves on the panel
+        until(lambda: "certified" in tab.text() and page._timed)  # then nothing moves on the panel
         joint, before = live.problem.robot.joint_names[-1], live.problem.start[-1]
         tab.click("joints of the start [rad or m]", lambda: tab.middle(joint, "[role=slider]"))
         x, y = tab.place(joint, "[role=slider]")
@@ -502,6 +494,16 @@ def test_a_mouse_moves_a_drawer_and_a_joint_undoes_both_and_saves(page, tmp_path
         tab.click("undo", lambda: page._layers["goals"].value)
         tab.click("save", lambda: tab.middle("save problem"))
         tab.click("save problem", lambda: "problem.json is in the folder" in tab.text())
+        start, target = client.camera.position, page.server.initial_camera.look_at
+        tab.click("top", lambda: client.camera.position[2] > target[2] + 2.0)
+        assert client.camera.position[:2] == pytest.approx(target[:2], abs=0.2)
+        button = tab.value(  # "reset" of the views, not of the problem
+            "(() => { const e = [...document.querySelectorAll('button')]"
+            ".filter((e) => e.textContent.trim() === 'reset').pop(); e.scrollIntoView({block: 'nearest'});"
+            "const r = e.getBoundingClientRect();"
+            "return [r.x + r.width / 2, r.y + r.height / 2]; })()"
+        )
+        tab.click(button, lambda: np.allclose(client.camera.position, start, atol=1e-3))
         assert not tab.said
 
 
