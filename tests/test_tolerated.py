@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from rigid_moves import moves
 from scipy.spatial.transform import Rotation
 
-from cvqmpt_lab.base.poses import pose, rigid
+from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.certificate.certificate import certify
 from cvqmpt_lab.certificate.tolerated import least_width, lever_of
 from cvqmpt_lab.constraints.task_space_region import (
@@ -31,29 +32,6 @@ def corners_of(robot, hand):
     row, T = robot.hand(hand)
     corners = np.concatenate([piece.vertices_in_link for piece in robot.links if piece.link == row])
     return (corners - T[:3, 3]) @ T[:3, :3]
-
-
-def moves(rng, corners, most, count):
-    """Return rigid moves (count, 4, 4) of a body by which no corner is off by more than `most`.
-
-    Turns about its longest axis, which move corners least, are among them.
-    """
-    centre = 0.5 * (corners.max(axis=0) + corners.min(axis=0))
-    longest = np.linalg.svd(corners - corners.mean(axis=0), full_matrices=False)[2][0]
-    found = []
-    for k in range(count):
-        axis = longest if k % 2 else rng.standard_normal(3)
-        slide = rng.standard_normal(3) * (0.0 if k % 4 < 2 else 1e-3)
-        R = Rotation.from_rotvec(1e-3 * axis / np.linalg.norm(axis)).as_matrix()
-        T = rigid(R, centre - R @ centre + slide)
-        off = np.linalg.norm(corners @ T[:3, :3].T + T[:3, 3] - corners, axis=1).max()
-        vector = Rotation.from_matrix(R).as_rotvec() * most / off * 0.999
-        R = Rotation.from_rotvec(vector).as_matrix()
-        T = rigid(R, centre - R @ centre + slide * most / off * 0.999)
-        off = np.linalg.norm(corners @ T[:3, :3].T + T[:3, 3] - corners, axis=1).max()
-        if off <= most:
-            found.append(T)
-    return np.array(found)
 
 
 def held(robot, start, lever, bounds, two=False):

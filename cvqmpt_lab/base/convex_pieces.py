@@ -182,7 +182,7 @@ class Piece:
         inside = corners[self.solid.contains(corners)]
         points = np.concatenate([self.triangles.reshape(-1, 3), inside])
         if len(points) < 4 or thickness(points) < 2.0 * MIN_THICKNESS_M:
-            points = _thickened(points)
+            points = thickened(points)
         # the second hull has no points but vertices
         return ConvexHull(points[ConvexHull(points).vertices])
 
@@ -375,7 +375,7 @@ def spread_points(triangles: FloatArray, count: int, most: int = 400_000) -> Flo
     return a[which] + u[:, None] * (b - a)[which] + v[:, None] * (c - a)[which]
 
 
-def _thickened(points: FloatArray) -> FloatArray:
+def thickened(points: FloatArray) -> FloatArray:
     """Return points (2 k, 3) whose hull contains any given points and is thick enough."""
     turned = principal_axes(points).T
     low, high = (points @ turned.T).min(axis=0), (points @ turned.T).max(axis=0)

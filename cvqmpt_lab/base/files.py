@@ -170,7 +170,7 @@ def read_xml(path: Path, what: str = "file") -> Element:
     """Return the root of an XML file as programs of ROS read it; errors name the path.
 
     Names keep their prefixes, bound or not, and a default namespace has no effect. A byte order
-    mark or blanks may precede the declaration.
+    mark, blanks or comments may precede the declaration.
     """
     return xml_root(read_text(path, what), f"{what} {path}")
 
@@ -191,8 +191,15 @@ def xml_root(text: str, what: str) -> Element:
     parser.StartElementHandler = builder.start
     parser.EndElementHandler = builder.end
     parser.CharacterDataHandler = builder.data
+    text = text.lstrip("\ufeff \t\r\n")
+    after = 0
+    while text.startswith("<!--", after) and (end := text.find("-->", after)) >= 0:
+        blanks = re.compile(r"\s*").match(text, end + 3)
+        after = blanks.end() if blanks else end + 3
+    if text.startswith("<?xml", after):
+        text = text[after:]
     try:
-        parser.Parse(text.lstrip("\ufeff \t\r\n"), True)
+        parser.Parse(text, True)
         return builder.close()
     except expat.ExpatError as error:
         raise InvalidInputError(f"cannot read {what}: {error}") from error

@@ -108,9 +108,9 @@ class Polyline:
         if len(states) == 1:
             return states, states[None]
         marks = begins[:, None] + halves[:, None] * (0.0, 1.0, 2.0)
-        rows = np.clip(np.searchsorted(along, marks, side="right") - 1, 0, len(along) - 2)
+        rows = np.searchsorted(along[1:-1], marks, side="right")
         share = (marks - along[rows]) / (along[rows + 1] - along[rows])
-        begins, middles, ends = np.moveaxis(states_between(states, rows, share), 1, 0)
+        begins, middles, ends = states_between(states, rows, share).transpose(1, 0, 2)
         first, last = rows[:, 0] + 1, rows[:, 2]
         between = first[:, None] + np.arange(max(0, int((last - first).max()) + 1))
         inside = between <= last[:, None]

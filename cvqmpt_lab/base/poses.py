@@ -172,15 +172,16 @@ def rotation_vectors(matrices: np.ndarray) -> np.ndarray:
     gives q.
     """
     m = np.asarray(matrices).reshape(-1, 3, 3)
-    trace = np.trace(m, axis1=1, axis2=2)
+    trace = m[:, 0, 0] + m[:, 1, 1] + m[:, 2, 2]
     square = np.empty((len(m), 4, 4))
     square[:, :3, :3] = m + m.transpose(0, 2, 1)
-    square[:, (0, 1, 2), (0, 1, 2)] += (1.0 - trace)[:, None]
-    turn = m[:, 2, 1] - m[:, 1, 2], m[:, 0, 2] - m[:, 2, 0], m[:, 1, 0] - m[:, 0, 1]
-    square[:, :3, 3] = square[:, 3, :3] = np.stack(turn, axis=1)
-    square[:, 3, 3] = 1.0 + trace
-    q = square[np.arange(len(m)), np.diagonal(square, axis1=1, axis2=2).argmax(axis=1)]
+    diagonal = square.reshape(-1, 16)[:, ::5]  # a view
+    diagonal[:, :3] += (1.0 - trace)[:, None]
+    diagonal[:, 3] = 1.0 + trace
+    for k, i, j in ((0, 2, 1), (1, 0, 2), (2, 1, 0)):
+        square[:, k, 3] = square[:, 3, k] = m[:, i, j] - m[:, j, i]
+    q = square[np.arange(len(m)), diagonal.argmax(axis=1)]
     q *= np.where(q[:, 3:] < 0.0, -1.0, 1.0)
-    sine = np.linalg.norm(q[:, :3], axis=1, keepdims=True)
+    sine = np.sqrt((q[:, :3] * q[:, :3]).sum(axis=1, keepdims=True))
     angle = 2.0 * np.arctan2(sine, q[:, 3:])
     return q[:, :3] * np.divide(angle, sine, out=np.zeros_like(sine), where=sine > 0.0)

@@ -15,6 +15,7 @@ from cvqmpt_lab.robot.joint_frames import poses_at_once
 from cvqmpt_lab.robot.robot import Robot
 
 CUTS = 4  # times that stretches are cut at most
+RADIANS = UNITS == "rad"  # rows (10,) of displacements that are angles; others are lengths
 
 
 @dataclass(frozen=True)
@@ -71,8 +72,9 @@ def largest_violation(
             new, before = np.ones(len(q), dtype=bool), x
             new[known], x = False, np.empty((len(q), x.shape[1]))
             x[known], x[new] = before, _displacements(robot, region, q[new])
-        radians = max(radians, beyond[:, UNITS == "rad"].max())
-        metres = max(metres, beyond[:, UNITS == "m"].max())
+        farthest = beyond.max(axis=0)
+        radians = max(radians, farthest[RADIANS].max())
+        metres = max(metres, farthest[~RADIANS].max())
         highest = max(highest, (at_ends + between).max(initial=outside.max()))
         if outside.max() > most:
             most, at = outside.max(), q[outside.argmax()]
@@ -185,7 +187,7 @@ def least_slack(
     q = evenly_spaced(states, spacing)
     for region in regions:
         lower, upper = region.bounds.T
-        thin = ~np.isin(np.arange(len(UNITS)), region.bounded_rows) | ~region.wide
+        thin = ~(region.bounded & region.wide)
         x = _displacements(robot, region, q)
         inside = np.where(thin, np.inf, -excess(region, x).max(axis=0))
         seen = np.array([inside[unit == UNITS].min() for unit in ("rad", "m")]).clip(min=0.0)
@@ -230,7 +232,7 @@ def evenly_spaced(states: np.ndarray, spacing: float) -> np.ndarray:
 def _displacements(robot: Robot, region: TaskSpaceRegion, states: np.ndarray) -> np.ndarray:
     """Return displacements (m, 10) as `report.displacements`, of all states (m, n) at once."""
     poses = poses_at_once(robot, states, region.end_effector)
-    return displaced(region, poses, region.reference_poses(robot, states))
+    return displaced(region, poses, region.reference_poses(robot, states), needed=True)
 
 
 def _cut(states: np.ndarray, counts: np.ndarray) -> np.ndarray:

@@ -164,7 +164,7 @@ class CollisionChecker:
                 proven.
         """
         moved = self._sweep.in_world(q, hulls, known)
-        needed = _needed(moved, np.maximum(self.outer, np.broadcast_to(least, len(q)))[:, None])
+        needed = _needed(moved, np.maximum(self.outer, np.reshape(least, (-1, 1))))
         free, hits = known.copy(), np.zeros(len(q), dtype=bool)
         doubtful = np.broadcast_to(doubtful, len(q))
         for k in np.flatnonzero(free < self.links).tolist():
@@ -201,10 +201,11 @@ class CollisionChecker:
         if self.pairs == 0:
             return Cleared(free, np.zeros(len(q)), hits)
         doubtful = np.broadcast_to(doubtful, len(q))
-        moved = self._sweep.between(q, hulls)
-        moved[np.arange(self.pairs) < known[:, None]] = 0.0
-        needed = _needed(moved, np.maximum(self.margin, np.broadcast_to(least, len(q)))[:, None])
-        near = self._near_pairs(q, needed) & (np.arange(self.pairs) >= known[:, None])
+        poses = self._sweep.poses(q)
+        moved, left = self._sweep.between(q, hulls, poses), np.arange(self.pairs) >= known[:, None]
+        moved[~left] = 0.0
+        needed = _needed(moved, np.maximum(self.margin, np.reshape(least, (-1, 1))))
+        near = self._near_pairs(poses, needed) & left
         for k in np.flatnonzero(near.any(axis=1)):
             self._place(q[k])
             for pair in np.flatnonzero(near[k]).tolist():
@@ -250,17 +251,16 @@ class CollisionChecker:
         """Bound [m] on the motion of any point of the robot from q (n,) in a hull (c, n)."""
         return float(self._sweep.in_world(q[None], hull[None]).max(initial=0.0))
 
-    def _near_pairs(self, q: np.ndarray, gaps: np.ndarray | float) -> np.ndarray:
+    def _near_pairs(self, poses: np.ndarray, gaps: np.ndarray | float) -> np.ndarray:
         """Return which own pairs have balls that are at most `gaps` apart.
 
         Args:
-            q: (k, n).
+            poses: (joints + 1, k, 4, 4) of all frames.
             gaps: (k, pairs), or one for all [m].
 
         Returns:
             (k, pairs) bool.
         """
-        poses = self._sweep.frames.poses(self.robot.kinematics.joint_values(q))
         (first, second), (joints, balls) = self._own_pairs, self._balls
         T = poses[joints]
         centres = (T[..., :3, :3] @ balls[:, None, :3, None])[..., 0] + T[..., :3, 3]
@@ -331,7 +331,9 @@ class CollisionChecker:
     def nearest_of_itself(self, q: np.ndarray, least: float = np.inf) -> Nearest:
         """Smallest distance of the robot's own pieces, if it is below `least` [m]."""
         nearest = Nearest(least, None)
-        near = np.flatnonzero(self._near_pairs(q[None], least)) if self.pairs else np.empty(0, int)
+        near = np.empty(0, dtype=int)
+        if self.pairs:
+            near = np.flatnonzero(self._near_pairs(self._sweep.poses(q[None]), least))
         self._place(q)
         for k in near.tolist():
             found = self._own_distance(k)

@@ -35,6 +35,7 @@ class Sweep:
         (a, b), self._pair = np.unique(
             np.array(pairs, dtype=int).reshape(-1, 2).T, axis=1, return_inverse=True
         )
+        self._pair = self._pair.reshape(-1)
         self._links = np.array(links, dtype=int)
         self._moving = support[self._links]
         self._sides = np.concatenate([a, b])
@@ -56,18 +57,34 @@ class Sweep:
         bounds = np.zeros((len(q), len(self._links)))
         first = int(skipped.min(initial=len(self._links)))
         links, moving = self._links[first:], self._moving[first:]
-        bounds[:, first:] = self._bounds(links, moving, q, hulls)
+        bounds[:, first:] = self._bounds(links, moving, q, hulls, self.frames.poses(q))
         bounds[np.arange(len(self._links)) < skipped[:, None]] = 0.0
         return bounds
 
-    def between(self, q: np.ndarray, hulls: np.ndarray) -> np.ndarray:
-        """Bounds (k, p) [m] on the relative motion of two points of a pair: sums of two bounds."""
+    def poses(self, q: np.ndarray) -> np.ndarray:
+        """Poses (joints + 1, k, 4, 4) of all frames at configurations (k, n)."""
+        return self.frames.poses(self._kinematics.joint_values(q))
+
+    def between(self, q: np.ndarray, hulls: np.ndarray, poses: np.ndarray) -> np.ndarray:
+        """Bounds (k, p) [m] on the relative motion of two points of a pair: sums of two bounds.
+
+        Args:
+            q: (k, n), where motions begin.
+            hulls: (k, c, n), corners of hulls of configurations.
+            poses: of `q`, see `poses`.
+        """
         q, hulls = self._kinematics.joint_values(q), self._kinematics.joint_values(hulls)
-        bounds = self._bounds(self._sides, self._moving_sides, q, hulls)
-        return bounds.reshape(len(q), 2, -1).sum(1)[:, self._pair.reshape(-1)]
+        bounds = self._bounds(self._sides, self._moving_sides, q, hulls, poses)
+        first, second = np.split(bounds, 2, axis=1)
+        return (first + second)[:, self._pair]
 
     def _bounds(
-        self, links: np.ndarray, moving: np.ndarray, q: np.ndarray, hulls: np.ndarray
+        self,
+        links: np.ndarray,
+        moving: np.ndarray,
+        q: np.ndarray,
+        hulls: np.ndarray,
+        poses: np.ndarray,
     ) -> np.ndarray:
         """Bounds (k, l) [m] on the motion of any point x of each link, by some joints alone.
 
@@ -87,18 +104,19 @@ class Sweep:
             moving: (l, n) bool, the joints that move each link; the others are fixed.
             q: (k, n).
             hulls: (k, c, n).
+            poses: (n + 1, k, 4, 4) of all frames at q.
         """
         if len(links) == 0:
             return np.zeros((len(q), 0))
-        hinges, poses = self.frames.hinges, self.frames.poses(q)
-        balls = self._balls[links, :3, None]
-        centres = (poses[links, :, :3, :3] @ balls[:, None])[..., 0] + poses[links, :, :3, 3]
+        hinges, balls, placed = self.frames.hinges, self._balls[links, :3, None], poses[links]
+        centres = (placed[..., :3, :3] @ balls[:, None])[..., 0] + placed[..., :3, 3]
         # axes of joints (3, k, 1, n), and centres of the links' balls from the joints' origins [m]
         w0, w1, w2 = self.frames.axes(poses).transpose(2, 1, 0)[:, :, None]
         x, y, z = (centres[:, None] - poses[1:, :, :3, 3]).transpose(3, 2, 0, 1)
         # velocities of each link's centre, and angular velocities
         twists = np.empty((2, 3, len(q), *moving.shape))
-        twists[0] = w1 * z - w2 * y, w2 * x - w0 * z, w0 * y - w1 * x
+        for a, product in enumerate((w1 * z - w2 * y, w2 * x - w0 * z, w0 * y - w1 * x)):
+            twists[0, a] = product
         twists[1] = w0, w1, w2
         if not hinges.all():
             twists[0][..., ~hinges] = twists[1][..., ~hinges]
@@ -110,7 +128,7 @@ class Sweep:
         speeds, turns = _lengths(twists)
         most = np.abs(changes).max(axis=1)[:, None] * moving
         turned = most * hinges
-        around = np.cumsum(turned, axis=2) - 0.5 * turned
+        around = turned.cumsum(axis=2) - 0.5 * turned
         # joints first: what a step of the loop reads is contiguous
         most = np.ascontiguousarray(most.transpose(2, 0, 1))
         fastest = np.ascontiguousarray((speeds + turns * radii).transpose(2, 0, 1))

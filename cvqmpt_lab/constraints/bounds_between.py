@@ -63,7 +63,7 @@ def longest_lever(robot: Robot, region: TaskSpaceRegion) -> float:
     _, (row, T_link_e) = region.links(robot)
     # a frame that is no end effector may stand out of the bodies
     beyond = robot.farthest[row] + np.linalg.norm(T_link_e[:3, 3]) - robot.reach
-    arm = np.linalg.norm(np.linalg.inv(region.Tw_e)[:3, 3])
+    arm = np.linalg.norm(region.Te_w[:3, 3])
     return float(2.0 * robot.reach + arm + max(beyond, 0.0))
 
 
@@ -162,7 +162,7 @@ def _between_places(
 
     for row, axes in ((7, 3), (8, 2)):
         if row in rows:
-            v, a = bounds(link, T_link_e @ np.linalg.inv(region.Tw_e), x[:, :axes])
+            v, a = bounds(link, T_link_e @ region.Te_w, x[:, :axes])
             inwards = v**2 / least(row, v) if np.isfinite(region.bounds[row, 0]) else 0.0
             found.append((0.5 * v, (a + inwards) / 8.0))
     if 9 in rows:

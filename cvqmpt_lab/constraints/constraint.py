@@ -16,7 +16,8 @@ from typing import Any, Self
 
 import numpy as np
 
-from cvqmpt_lab.base.errors import InvalidInputError, shown
+from cvqmpt_lab.base.errors import CvqmptError, InvalidInputError, shown
+from cvqmpt_lab.base.modules import described
 from cvqmpt_lab.constraints.regions import FunctionRows, Regions, no_regions
 from cvqmpt_lab.robot.robot import Robot
 
@@ -66,11 +67,16 @@ class Constraint(ABC):
 
     def proven_between(self, states: np.ndarray) -> np.ndarray | None:
         """Return `bound_between` (k - 1,); InvalidInputError for what bounds nothing."""
-        found = self.bound_between(states)
-        if found is None:
-            return None
-        bounds = real_values(found)
         what = f"constraint {self.describe()}: bound_between"
+        try:
+            found = self.bound_between(states)
+            if found is None:
+                return None
+            bounds = real_values(found)
+        except CvqmptError:
+            raise
+        except Exception as error:
+            raise InvalidInputError(f"{what} raises {described(error)}") from error
         if bounds.shape != (len(states) - 1,):
             raise InvalidInputError(
                 f"{what} has shape {bounds.shape}; needed: ({len(states) - 1},), one of each motion"

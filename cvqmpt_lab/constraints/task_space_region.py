@@ -193,11 +193,21 @@ class TaskSpaceRegion(Checked):
         return frozen(np.vstack([self.Bw, (-tilt, tilt), *spans, (-bearing, bearing)]))
 
     @cached_property
-    def bounded_rows(self) -> np.ndarray:
-        """Indices (m,) of the entries of x that can be out of bounds."""
+    def bounded(self) -> np.ndarray:
+        """Which entries of x can be out of bounds, (10,) bool."""
         lower, upper = self.bounds.T
         limit = np.where(UNITS == "m", np.inf, np.pi)
-        return frozen(np.flatnonzero((lower > -limit) | (upper < limit)))
+        return frozen((lower > -limit) | (upper < limit))
+
+    @cached_property
+    def bounded_rows(self) -> np.ndarray:
+        """Indices (m,) of the entries of x that can be out of bounds."""
+        return frozen(np.flatnonzero(self.bounded))
+
+    @cached_property
+    def Te_w(self) -> np.ndarray:
+        """Pose (4, 4) of w in e when the displacement is zero, the inverse of `Tw_e`."""
+        return frozen(np.linalg.inv(self.Tw_e))
 
     @property
     def wide(self) -> np.ndarray:
@@ -415,24 +425,31 @@ def displacements(robot: Robot, region: TaskSpaceRegion, states: np.ndarray) -> 
     return displaced(region, poses, region.reference_poses(robot, states))
 
 
-def displaced(region: TaskSpaceRegion, poses: np.ndarray, references: np.ndarray) -> np.ndarray:
+def displaced(
+    region: TaskSpaceRegion, poses: np.ndarray, references: np.ndarray, needed: bool = False
+) -> np.ndarray:
     """Return displacements (m, 10): x of T = (T0_w)^-1 T0_e (Tw_e)^-1, see `TaskSpaceRegion`.
 
     Args:
         region: the region.
         poses: T0_e (m, 4, 4) of frame e [m].
         references: T0_w (1 or m, 4, 4) of the region's frame [m].
+        needed: whether tilt, distance, radius and bearing stay nan if none of them is bounded.
     """
-    T = np.linalg.inv(references) @ poses @ np.linalg.inv(region.Tw_e)
+    T = np.linalg.inv(references) @ poses @ region.Te_w
     R, t = T[:, :3, :3], T[:, :3, 3]
+    x = np.full((len(T), len(ROWS)), np.nan)
+    x[:, :3], x[:, 3:6] = t, rotation_vectors(R)
+    if needed and not region.bounded[6:].any():
+        return x
     radius, axis = np.hypot(t[:, 0], t[:, 1]), R[:, :, 2]
     off_axis = np.linalg.norm(np.cross(t, axis), axis=1)
-    places = np.hypot(radius, t[:, 2]), radius, np.arctan2(off_axis, -(t * axis).sum(axis=1))
-    return np.column_stack([t, rotation_vectors(R), tilts(R), *places])
+    x[:, 6], x[:, 7], x[:, 8] = tilts(R), np.hypot(radius, t[:, 2]), radius
+    x[:, 9] = np.arctan2(off_axis, -(t * axis).sum(axis=1))
+    return x
 
 
 def excess(region: TaskSpaceRegion, x: np.ndarray) -> np.ndarray:
     """Return max(lower - x, x - upper) of displacements x (m, 10), negative inside; -inf: free."""
     lower, upper = region.bounds.T
-    bounded = np.isin(np.arange(len(ROWS)), region.bounded_rows)
-    return np.where(bounded, np.maximum(lower - x, x - upper), -np.inf)
+    return np.where(region.bounded, np.maximum(lower - x, x - upper), -np.inf)

@@ -15,11 +15,13 @@ import pinocchio as pin
 
 from cvqmpt_lab.base.caches import cached_arrays, sources_digest
 from cvqmpt_lab.base.convex import (
+    MIN_THICKNESS_M,
     box_corners,
     polytope_around_ball,
     prism_around,
     require_near,
     require_volume,
+    thickness,
 )
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.robot.robot import LinkGeometry, in_link
@@ -124,6 +126,11 @@ def _hull_of(path: str, scale: Sequence[float]) -> tuple[np.ndarray, np.ndarray,
     if mesh.num_vertices == 0:
         raise InvalidInputError(f"{what} is empty")
     points = np.array(mesh.vertices())
+    if len(points) > 2 and _is_flat(points, what):
+        from cvqmpt_lab.base.convex_pieces import thickened  # takes 0.3 s to import
+
+        points = thickened(points)
+        return (*_polytope(coal_hull(points)), MIN_THICKNESS_M)
     require_volume(points, what)
     rounded = 0.0
     try:
@@ -134,9 +141,21 @@ def _hull_of(path: str, scale: Sequence[float]) -> tuple[np.ndarray, np.ndarray,
         if "neighbors" not in reason:
             raise InvalidInputError(f"{what} has no convex hull ({reason}): simplify it") from error
         hull, rounded = _rounded_hull(points, what)
+    return (*_polytope(hull), rounded)
+
+
+def _is_flat(points: np.ndarray, what: str, flat: float = 1e-6) -> bool:
+    """Return whether points (n, 3) [m] are in one plane, to a share `flat` of their length."""
+    require_near(points, what)
+    length = float(np.ptp(points, axis=0).max())
+    return length > MIN_THICKNESS_M and thickness(points) < max(1e-6, flat * length)
+
+
+def _polytope(hull: coal.CollisionGeometry) -> tuple[np.ndarray, np.ndarray]:
+    """Return a hull's points (n, 3) [m] and triangles (m, 3) of their indices."""
     triangles = [hull.polygons(k) for k in range(hull.num_polygons)]
     corners = np.array([[triangle[k] for k in range(3)] for triangle in triangles], dtype=np.int32)
-    return hull_vertices(hull), corners, rounded
+    return hull_vertices(hull), corners
 
 
 def _rounded_hull(

@@ -40,6 +40,7 @@ class JointFrames:
             else:
                 terms[j, 1, :3, 3] = placed.rotation @ axis
         self.hinges, self._axes = frozen(hinges), frozen(axes)
+        self._sliders = np.flatnonzero(~hinges)
         self._terms = frozen(terms.reshape(-1, 3, 16))
 
     def poses(self, values: np.ndarray) -> np.ndarray:
@@ -48,13 +49,14 @@ class JointFrames:
         values: (k, joints), of all joints, mimic joints included [rad or m].
         """
         weights = np.ones((*values.T.shape, 3))
-        weights[..., 1] = np.where(self.hinges, np.sin(values), values).T
+        weights[..., 1] = np.sin(values).T
+        weights[self._sliders, :, 1] = values.T[self._sliders]
         weights[..., 2] -= np.cos(values).T  # times 0 for sliders
         local = (weights @ self._terms).reshape(*weights.shape[:2], 4, 4)
         poses = np.empty((len(self._parents), len(values), 4, 4))
         poses[0] = np.eye(4)
-        for j, up in enumerate(self._parents[1:]):
-            np.matmul(poses[up], local[j], out=poses[j + 1])
+        for up, step, pose in zip(self._parents[1:], local, poses[1:], strict=True):
+            np.matmul(poses[up], step, out=pose)
         return poses
 
     def axes(self, poses: np.ndarray) -> np.ndarray:

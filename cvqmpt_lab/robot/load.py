@@ -47,6 +47,7 @@ from cvqmpt_lab.robot.pairs import (
     srdf_oddities,
     srdf_root,
 )
+from cvqmpt_lab.robot.parser import keep_needed_parts, parsed
 from cvqmpt_lab.robot.reach import note_on_reach
 from cvqmpt_lab.robot.robot import (
     LIMIT_UNITS,
@@ -456,21 +457,13 @@ def _models(
         if hulls[mesh].rounded
     ]
     if larger:
-        rounded = f"hulls with fewer corners, larger than the mesh's: {few(larger)}"
+        why = "of meshes with too many corners or without thickness"
+        rounded = f"hulls {why} are larger than these: {few(larger)}"
         bodies = bodies._replace(notes=(*bodies.notes, rounded))
+    bodies = bodies._replace(notes=(*bodies.notes, *keep_needed_parts(root)))
     for element in root.findall("joint"):
         element.set("name", prefix + element.get("name", ""))
-    text = ElementTree.tostring(root, encoding="unicode")
-    try:
-        model = pin.buildModelFromXML(text)
-        geometry = pin.buildGeomFromUrdfString(model, text, pin.GeometryType.COLLISION)
-    except (ValueError, RuntimeError) as error:
-        said = " ".join(str(error).split())
-        raise InvalidInputError(f"cannot load {given.urdf}: {said}") from error
-    if len(geometry.geometryObjects) != len(root.findall("link/collision")):
-        raise InvalidInputError(
-            f"cannot load {given.urdf}: the parser skipped collision bodies, see its output above"
-        )
+    model, geometry = parsed(root, given.urdf)
     for item in geometry.geometryObjects:
         if item.name in taken:
             item.geometry = hulls[taken[item.name]].shape

@@ -35,9 +35,10 @@ def note_on_reach(robot: Robot, urdf: Urdf) -> tuple[str, ...]:
     text = f"{urdf.path.name} reaches {robot.reach:.3g} m from the origin, because {why}"
     arm = float(robot.levers()[~k.prismatic[k.order[: robot.dof]]].max(initial=0.0))
     if robot.reach > MAX_REACH_M:
+        named = " ".join(f"--lock {name}={urdf.joints[name].neutral:g}" for name in strokes)
         cure = (
             "are all lengths in metres? Narrow a slider by --joint-limits (max_position), or hold "
-            "it by --lock"
+            f"it: {named or '--lock JOINT=VALUE'}"
         )
         raise InvalidInputError(f"{text}: at most {MAX_REACH_M:g} m; {cure}")
     if arm > MAX_ARM_M:

@@ -54,6 +54,8 @@ class Joint:
         if self.kind not in ("revolute", "prismatic", "continuous"):
             return f"is {self.kind}"
         finite = math.isfinite(self.lower) and math.isfinite(self.upper)
+        if self.kind != "continuous" and math.isnan(self.lower) and math.isnan(self.upper):
+            return "has no <limit>"
         if self.kind != "continuous" and not (finite and self.lower < self.upper):
             return f"has limits [{self.lower:g}, {self.upper:g}]"
         return None
@@ -194,8 +196,8 @@ def _expanded(
     return xml_root(text, f"URDF expanded from {path}"), tuple(dict.fromkeys(xacro.all_includes))
 
 
-def _joint(element: ElementTree.Element, path: Path, most_turn: float = 1e5) -> Joint:
-    """Read a joint; a limit beyond `most_turn` [rad] is refused because sines lose digits."""
+def _joint(element: ElementTree.Element, path: Path) -> Joint:
+    """Read a joint; errors name it."""
     # stands for elements that the file does not have
     nothing = ElementTree.Element("nothing")
     parts = {part.tag: part for part in reversed(element)}
@@ -221,12 +223,9 @@ def _joint(element: ElementTree.Element, path: Path, most_turn: float = 1e5) -> 
                 require_choice("attribute of its <limit>", attribute, limits)
         for attribute in ("velocity", "effort"):
             value = number(limit, attribute, 0.0)
-            if not 0.0 <= value < math.inf:
-                raise InvalidInputError(f"{attribute} is {value:g}; give a number of 0 or more")
-            stated = limit is nothing or attribute in limit.attrib
-            if not stated and element.get("type") != "continuous":
+            if not (value >= 0.0 or value == -1.0):  # -1 and infinity stand for no limit
                 raise InvalidInputError(
-                    f"its <limit> states no {attribute}; URDF needs velocity and effort"
+                    f"{attribute} is {value:g}; give a number of 0 or more, 0 if it is not known"
                 )
         # a <limit> without lower or upper means 0, by the URDF format
         unstated = math.nan if limit is nothing else 0.0
@@ -253,12 +252,6 @@ def _joint(element: ElementTree.Element, path: Path, most_turn: float = 1e5) -> 
             raise InvalidInputError(
                 f"its <mimic> has multiplier {joint.multiplier} and offset {joint.offset}; give "
                 "finite numbers"
-            )
-        turns = [abs(end) for end in (joint.lower, joint.upper) if math.isfinite(end)]
-        if joint.kind == "revolute" and max(turns, default=0.0) > most_turn:
-            raise InvalidInputError(
-                f"it turns to {max(turns):g} rad, at most {most_turn:g}; state its limits, or make "
-                "it continuous"
             )
         return joint
 
@@ -375,6 +368,11 @@ def held_joints(
         )
     for end_effector, joints in chains.items():
         if not joints & movable.keys() - held.keys():
+            if not movable:
+                raise InvalidInputError(
+                    f"no joint of {urdf.path.name} moves, it has {len(urdf.joints)} fixed ones: "
+                    "give the URDF of an arm"
+                )
             raise InvalidInputError(
                 f"no joint of {urdf.path.name} moves {end_effector!r}; end effectors it may have: "
                 + ", ".join(urdf.likely_end_effectors())
@@ -452,15 +450,21 @@ def _followed(urdf: Urdf, name: str, held: Mapping[str, HeldJoint]) -> Follower:
     return Follower(name, seen[-1], multiplier, offset)
 
 
-def check_turns(urdf: Urdf, planned: Sequence[str], most: float = 4.0) -> None:
-    """Refuse planned hinges whose limits lie more than `most` turns apart: degrees."""
+def check_turns(
+    urdf: Urdf, planned: Sequence[str], most: float = 4.0, endless: float = 1e4
+) -> None:
+    """Refuse planned hinges whose limits lie more than `most` turns apart: degrees.
+
+    Beyond `endless` turns, the limits stand for none.
+    """
     for joint in (urdf.joints[name] for name in planned):
         turns = (joint.upper - joint.lower) / FULL_TURN_RAD
         if joint.kind == "revolute" and turns > most:
+            why = f"{turns:.0f} turns: degrees?" if turns < endless else "as if without limits:"
             raise InvalidInputError(
                 f"joint {joint.name!r} of {urdf.path.name} turns from {joint.lower:g} to "
-                f"{joint.upper:g} rad, {turns:.0f} turns: degrees? Give limits in radians, make "
-                f"it continuous, or hold it: --lock {joint.name}=0"
+                f"{joint.upper:g} rad, {why} Give limits in radians, make it "
+                f"continuous, or hold it: --lock {joint.name}={joint.neutral:g}"
             )
 
 

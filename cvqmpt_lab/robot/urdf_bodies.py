@@ -196,7 +196,10 @@ def _check_numbers(elements: Sequence[ElementTree.Element]) -> None:
             values = []
         # Python reads 1_0 as a number
         if len(values) != wanted.length or not all(map(math.isfinite, values)) or "_" in text:
-            raise InvalidInputError(f"{what}; it must be {wanted.length} finite numbers")
+            raise InvalidInputError(
+                f"{what}; it must be {wanted.length} finite numbers"
+                + (", separated by blanks" if wanted.length > 1 else "")
+            )
         if not wanted.fits(values):
             raise InvalidInputError(f"{what}; give {wanted.cure}")
 

@@ -8,7 +8,7 @@ from command_line import refused
 from cvqmpt_lab.cli.main import COMMANDS, main, parser_with
 from cvqmpt_lab.cli.old_spellings import OLD, ROBOT_OPTIONS, SCAN_OPTIONS
 
-MOST_SLOTS, MOST_OF_PLAN = 231, 42
+MOST_SLOTS, MOST_OF_PLAN = 232, 42
 VALUES = {"--end-effectors": "a b", "--lock": "j=0", "--margin-angle": "0.01", "--bodies": "hulls"}
 CURES = {
     "--urdf": "; write --robot x",

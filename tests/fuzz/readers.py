@@ -38,7 +38,7 @@ from cvqmpt_lab.features.tasks.task import Task
 from cvqmpt_lab.paper_tables.rendering import render_directory
 from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.robot.load import load_robot, panda
+from cvqmpt_lab.robot.load import load_robot, panda, robot_from_source
 from cvqmpt_lab.scene.cloud_files import read_cloud
 from cvqmpt_lab.scene.mesh_files import read_mesh, read_triangles
 from cvqmpt_lab.scene.scene import Scene, SceneObject
@@ -50,6 +50,10 @@ from cvqmpt_lab.vqmpt.checkpoint import Checkpoint, read_tensors, save_checkpoin
 from cvqmpt_lab.vqmpt.config import MPNetConfig
 from cvqmpt_lab.vqmpt.weights import read_model, robot_signature
 
+EVERY = "hostile files of every kind end in a result or one line"
+LATER = (
+    "hostile joint limits, joint states, OpenCV calibrations and tables end in a result or one line"
+)
 SIDE = 24  # of depth images
 SHARD = "shards/000000.npz"  # of training data
 
@@ -62,6 +66,7 @@ class Reader(NamedTuple):
     use: Callable[[Path], object]  # reads a file and uses what it says
     long: int = 100_000  # files of the long form
     seconds: float = 1.0  # of processor time that a file may take
+    promise: str = EVERY
 
 
 @cache
@@ -91,6 +96,12 @@ def saved(name, save):
     with tempfile.TemporaryDirectory() as folder:
         save(Path(folder) / name)
         return (Path(folder) / name).read_bytes()
+
+
+def table(separator, decimal="."):
+    """Return the motion as a table with another separator, and decimal points or commas."""
+    text = motion(".csv").decode().replace(".", decimal)
+    return (text if separator == "," else text.replace(",", separator)).encode()
 
 
 def execute(path):
@@ -159,10 +170,71 @@ image_height: 480
 camera_matrix: {rows: 3, cols: 3, data: [525, 0.0, 319.5, 0.0, 5.26e2, 239.5, 0, 0, 1.]}
 distortion_coefficients: {rows: 1, cols: 5, data: [0, 0, 0, 0, 0]}
 """
+LENS_OF_OPENCV = b"""%YAML:1.0
+---
+image_width: 512
+image_height: 424
+camera_matrix: !!opencv-matrix
+   rows: 3
+   cols: 3
+   dt: d
+   data: [ 365., 0., 256., 0., 3.65e+02, 212., 0., 0., 1. ]
+distortion_coefficients: !!opencv-matrix
+   rows: 1
+   cols: 5
+   dt: d
+   data: [ 0., 0., 0., 0., 0. ]
+"""
 POSE = {
     "translation": {"x": 0.1, "y": -0.5, "z": 1.2},
     "rotation": {"x": 0.0, "y": 0.0, "z": 0.6, "w": 0.8},
 }
+
+
+LIMITS = b"""/**:
+  ros__parameters:
+    robot_description_planning:
+      joint_limits:
+        panda_joint1: {has_position_limits: false, has_velocity_limits: true, max_velocity: 2.1,
+          has_acceleration_limits: true, max_acceleration: 3.75, has_jerk_limits: false}
+        panda_joint4:
+          has_position_limits: true
+          min_position: !degrees -170.0
+          max_position: !radians -0.1
+"""
+
+
+def limits_in_json():
+    rates = {"velocity": 2.1, "acceleration": 3.75, "jerk": 1e3, "effort": 80}
+    one = {f"max_{kind}": value for kind, value in rates.items()}
+    one |= {f"has_{kind}_limits": True for kind in rates}
+    one |= {"has_position_limits": True, "min_position": -0.5, "max_position": 1.0}
+    return json.dumps({"joint_limits": {f"panda_joint{k}": one for k in (1, 2, 3)}}).encode()
+
+
+def limited(path):
+    """Load an arm with the limits of a file, which only narrow those of the URDF."""
+    robot = robot_from_source({"name": "panda", "joint_limits": str(path)})
+    assert (robot.lower < robot.upper).all() and (robot.velocity_limits > 0.0).all()
+    assert (robot.lower >= panda().lower).all() and (robot.upper <= panda().upper).all()
+    assert np.isfinite(robot.velocity_limits).all()
+
+
+def joint_state():
+    names = [*panda().joint_names, "panda_finger_joint1", "wheel"]
+    values = [0.0, -0.7, 0.0, -2.3, 0.0, 1.6, 0.8, 0.02, 31.4]
+    stamp = {"stamp": {"sec": 3, "nanosec": 12}, "frame_id": ""}
+    state = {"header": stamp, "name": names, "position": values, "velocity": [], "effort": []}
+    return json.dumps({"joint_state": state, "is_diff": False}).encode()
+
+
+def standing(path):
+    """Begin a problem where a JointState message says."""
+    around = json.loads((DATA / "problem-1.json").read_text()) | {"start": "HERE"}
+    begun = path.with_name("problem.json")
+    begun.write_bytes(json.dumps(around).encode().replace(b'"HERE"', path.read_bytes()))
+    problem = PlanningProblem.load(begun)
+    assert problem.start.shape == (7,) and np.isfinite(problem.start).all()
 
 
 def rows():
@@ -258,10 +330,21 @@ READERS = (
     Reader("problems", "problem.json", problem, hostile_json, plan, FEW),
     Reader("paths and trajectories", "motion.csv", partial(motion, ".csv"),
            damaged, execute, FEW // 2),
+    *(
+        Reader("paths and trajectories", "motion.csv", partial(table, *signs),
+               damaged, execute, FEW // 2, promise=LATER)
+        for signs in ((" ",), (";", ","), ("\t",))
+    ),
     Reader("paths and trajectories", "motion.json", partial(motion, ".json"),
            hostile_json, execute, FEW // 2),
     Reader("tasks", "task.json", (DATA / "task-1.json").read_bytes, hostile_json, Task.load, FEW),
     Reader("robots", "arm.urdf", partial(random_urdf, 3), hostile_robot, move, FEW),
+    Reader("joint limits", "limits.yaml", partial(bytes, LIMITS), damaged, limited, FEW // 2,
+           promise=LATER),
+    Reader("joint limits", "limits.json.yaml", limits_in_json, hostile_json, limited, FEW // 2,
+           promise=LATER),
+    Reader("joint states", "state.json", joint_state, hostile_json, standing, FEW // 2,
+           promise=LATER),
     *(
         Reader("clouds", name, partial(bytes, GOOD[name]), damaged, cloud, 14_000)
         for name in ("a.pcd", "b.pcd", "c.pcd", "a.ply", "b.ply", "a.npy", "a.xyz")
@@ -277,6 +360,8 @@ READERS = (
     Reader("depth images and cameras", "lens.json", lens, hostile_json, intrinsics, FEW),
     Reader("depth images and cameras", "lens.yaml", partial(bytes, LENS_OF_ROS),
            damaged, intrinsics, FEW),
+    Reader("depth images and cameras", "opencv.yaml", partial(bytes, LENS_OF_OPENCV),
+           damaged, intrinsics, FEW, promise=LATER),
     Reader("depth images and cameras", "pose.json", json.dumps({"T_world_camera": POSE}).encode,
            hostile_json, extrinsics, FEW),
     Reader("rows and provenance", RUNS_FILE, rows, damaged, read_rows),

@@ -16,7 +16,7 @@ AT_ONCE = 1000  # files that hypothesis draws before it forgets those it has dra
 
 def promised(reader):
     mark = pytest.mark.promise(
-        "hostile files of every kind end in a result or one line",
+        reader.promise,
         "files",
         ci=4 if reader.seconds > 1 else 20,
         long=reader.long,

@@ -125,8 +125,8 @@ def holds(region):
 class Arm:
     """Groups of rigidly joined links with joints and bodies, by the field "robot" of a problem."""
 
-    def __init__(self, robot, folder, order):
-        """Read the robot; order: names of joints in the order of states."""
+    def __init__(self, robot, folder, order, bodies=True):
+        """Read the robot; order: names of joints in the order of states; bodies: with shapes."""
         path = (folder / robot["urdf"]).resolve()
         root, locked = ElementTree.parse(path).getroot(), robot.get("locked", {})
         joints = {joint.get("name"): joint for joint in root.findall("joint")}
@@ -156,10 +156,10 @@ class Arm:
                     T = T @ motion(joint, held_value(joint, locked, joints))
             links[joint.find("child").get("link")] = group, T
         self.frames, self.first, self.hand, self.bodies = links, hands[0], links[hands[0]], []
-        for link in root.findall("link"):
-            (group, T), bodies = links[link.get("name")], link.findall("collision")
-            shapes = [link_triangles(x.find("geometry"), path.parent) for x in bodies]
-            parts = [moved(T @ pose_of(x), it) for x, it in zip(bodies, shapes, strict=True)]
+        for link in root.findall("link") if bodies else ():
+            (group, T), found = links[link.get("name")], link.findall("collision")
+            shapes = [link_triangles(x.find("geometry"), path.parent) for x in found]
+            parts = [moved(T @ pose_of(x), it) for x, it in zip(found, shapes, strict=True)]
             self.bodies += [Body(link.get("name"), group, np.concatenate(parts))] if parts else []
         self.excused = set()
         if robot["srdf"]:

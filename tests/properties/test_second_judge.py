@@ -10,9 +10,9 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 import trimesh
-from judged_bodies import furthest, moved
+from judged_bodies import furthest, moved, swallowed, touching
 from random_arms import ARMS as RANDOM_ARMS
-from random_arms import random_urdf
+from random_arms import joint, origin, random_urdf
 from scipy.spatial.transform import Rotation
 from second_judge import WORLD, Arm, Judge, body_of
 
@@ -25,8 +25,9 @@ from cvqmpt_lab.constraints.region_constraint import RegionConstraint
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.problem import PlanningProblem, really_held
-from cvqmpt_lab.robot.left_out import OVERLAP, Robot
+from cvqmpt_lab.robot.left_out import OVERLAP
 from cvqmpt_lab.robot.load import robot_from_source
+from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.robot.source import ARMS, example_robots
 from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.search.result import Budget, JointPath
@@ -39,6 +40,11 @@ MOTIONS, OBSTACLES = 5, 4  # tried for a case
 PLANNED, STRETCH = 20, 4  # of so many cases, one is so many states of a planned path
 BUDGET = Budget(iterations=300)  # to plan it
 PROMISE = "what is certified overlaps by 0.1 mm at most, by the files' triangles"
+STANDING = (
+    "standing meshes of the URDF: what is certified overlaps their triangles by at most 0.1 mm"
+)
+NOTHING = Scene("empty", ())
+ROOM = "room"  # link that stands
 JUDGED = 0.8  # share of cases in which there must be something to judge
 DRAWN = 200  # configurations, of which one with two links near each other is chosen
 SPREADS = (0.3, 0.1, 0.03, 0.01, 0.0)  # [rad or m] by which those that follow differ from it
@@ -60,6 +66,7 @@ class Given(NamedTuple):
     unseen: set[frozenset]  # pairs that the certificate leaves out for another reason
     held: tuple[dict, ...] = ()  # what two hands hold, field "attachments"
     chain: tuple[TaskSpaceRegion, ...] = ()  # how they hold it, and that it is level
+    standing: frozenset = frozenset()  # links that a motion shall be near
 
     def kept(self, states):
         """Project states (k, n) onto the closed chain; leave out states for which this fails."""
@@ -100,6 +107,61 @@ def read_arm(name, folder):
 
 
 @cache
+def standing_arm(number, folder):
+    """Return a random arm with a concave mesh as a link beside it, on the base or on the ground."""
+    rng, name = np.random.default_rng(number), f"standing_{number}"
+    room(rng).export(folder / f"{name}.stl")
+    body = f'<geometry><mesh filename="{name}.stl"/></geometry>'
+    link = f'<link name="{ROOM}"><collision>{body}</collision></link>'
+    place = origin(rng, rng.choice([0.1, 0.5]))
+    mounted = joint("mounted", "fixed", "base", ROOM, place)
+    text = random_urdf(number).decode().replace("</robot>", f"{link}{mounted}</robot>")
+    (folder / f"{name}.urdf").write_text(text)
+    source = {"urdf": str(folder / f"{name}.urdf"), "end_effector": "tool", "srdf": None}
+    robot = robot_from_source(source)
+    arm, checker = Arm(source, folder, robot.joint_names), CollisionChecker(robot, NOTHING)
+    links = {body.name for body in arm.bodies}
+    always = tuple(  # of pairs of pieces, LINK_NUMBER, the pairs of their links
+        tuple(name if name in links else name.rpartition("_")[0] for name in pair[:2])
+        for pair in robot.left_out_pairs
+        if pair.reason.startswith(OVERLAP)
+    )
+    states = robot.random_configurations(rng, 50)
+    for pair in always:
+        if ROOM in pair:  # standing bodies are left out only where no state is free of them
+            assert overlaps_in(arm, pair, states) > 0.9, (number, pair)
+    return Given(source, robot, checker, arm, always, set(), standing=frozenset([ROOM]))
+
+
+def overlaps_in(arm, pair, states):
+    """Return the share of states (k, n) in which two links overlap by their triangles."""
+    a, b = (next(body for body in arm.bodies if body.name == name) for name in pair)
+    poses = arm.poses(states)
+    between = np.linalg.inv(poses[a.group]) @ poses[b.group]
+    return np.mean([touching(a, b, T) or swallowed(a, b, T) for T in between])
+
+
+def room(rng):
+    """A floor with a column, a wall with a hole, a shelf, a ring or a box without a lid."""
+    a, b, c = rng.uniform(0.3, 1.2, 3)
+    d, kind = rng.uniform(0.01, 0.08), rng.integers(5)
+    if kind == 0:
+        return trimesh.creation.torus(a, d, 16, 6)
+    plates = {
+        1: [((a, b, d), (0, 0, 0)), ((2 * d, 2 * d, c), (a / 4, b / 4, c / 2))],
+        2: [((a, d, c / 3), (0, 0, z)) for z in (-c / 3, c / 3)]
+        + [((a / 3, d, c / 3), (x, 0, 0)) for x in (-a / 3, a / 3)],
+        3: [((a, b, d), (0, 0, z)) for z in (0, c / 2, c)] + [((d, b, c), (-a / 2, 0, c / 2))],
+        4: [((a, b, d), (0, 0, 0))]
+        + [((d, b, c), (x, 0, c / 2)) for x in (-a / 2, a / 2)]
+        + [((a, d, c), (0, y, c / 2)) for y in (-b / 2, b / 2)],
+    }[int(kind)]
+    placed = trimesh.transformations.translation_matrix
+    boxes = [trimesh.creation.box(size, transform=placed(at)) for size, at in plates]
+    return trimesh.util.concatenate(boxes).subdivide_to_size(0.1)
+
+
+@cache
 def given_arm(name, folder, kind=0):
     """Return an arm; kind: way in which two hands hold an object."""
     source, robot, arm = read_arm(name, folder)
@@ -107,7 +169,7 @@ def given_arm(name, folder, kind=0):
     always = tuple((first, second) for first, second, why in out if why.startswith(OVERLAP))
     unseen = {frozenset((first, second)) for first, second, _ in out}
     held, chain = both_hold(robot, kind) if len(robot.end_effectors) > 1 else ((), ())
-    checker = CollisionChecker(robot, Scene("empty", ()), really_held(robot, held, chain))
+    checker = CollisionChecker(robot, NOTHING, really_held(robot, held, chain))
     plain = tuple({**to_plain(x), "T_hand_object": x.T_hand_object.tolist()} for x in held)
     return Given(source, robot, checker, arm, always, unseen, plain, chain)
 
@@ -122,6 +184,8 @@ def both_hold(robot, kind):
 
 def arm_of(name, number, folder):
     """The arm of a case."""
+    if name == "standing":
+        return standing_arm(number % RANDOM_ARMS, folder)
     if name in ARMS and ARMS[name].end_effectors:
         return given_arm(name, folder, number % KINDS)
     return given_arm(number % RANDOM_ARMS if name == "random" else name, folder)
@@ -183,6 +247,7 @@ def near_each_other(given, rng):
     chain = [region_in_json(region) for region in given.chain]
     pairs = [*pairs, *given.arm.carried_pairs(given.held, held, chain)]
     pairs = [pair for pair in pairs if (gaps(*pair, poses, 1) < 0.0).any()]
+    pairs = [pair for pair in pairs if given.standing & {x.name for x in pair}] or pairs
     unseen = [(a, b) for a, b in pairs if {a.name, b.name} in given.unseen]
     pairs = unseen if unseen and rng.random() < 0.5 else pairs
     if not pairs:
@@ -214,7 +279,8 @@ def gaps(a, b, poses, count):
 
 def short_motion(given, held, rng):
     """States (k, n) of a straight motion, and the state (n,) that was drawn."""
-    robot, drawn = given.robot, (near_each_other if rng.random() < 0.4 else free)(given, rng)
+    near = 0.8 if given.standing else 0.4
+    robot, drawn = given.robot, (near_each_other if rng.random() < near else free)(given, rng)
     change = rng.standard_normal(robot.dof) * (rng.random(robot.dof) < rng.choice([0.3, 1.0]))
     if given.chain:  # along the closed chain, then onto it
         J = RegionConstraint(robot, given.chain[:1]).residual_and_jacobian(drawn, full=True)[1]
@@ -335,6 +401,16 @@ def judged(name, number, folder):
 )
 @pytest.mark.promise(PROMISE, "cases", ci=6, long=2000)
 def test_certified_motions(name, trials, folder):
+    judge_cases(name, trials, folder)
+
+
+@pytest.mark.promise(STANDING, "cases", ci=3, long=2000)
+def test_certified_motions_beside_standing_meshes(trials, folder):
+    judge_cases("standing", trials, folder)
+
+
+def judge_cases(name, trials, folder):
+    """Judge the cases of a kind of arm; all must be right, and most must have a motion."""
     verdicts = {number: judged(name, number, folder) for number in range(trials)}
     found = {number: verdict for number, verdict in verdicts.items() if verdict is not None}
     left = {

@@ -166,7 +166,7 @@ def test_a_hull_with_too_many_neighbours_at_a_corner_is_rounded_outwards(tmp_pat
         planes = ConvexHull(corners).equations
         away = np.asarray(cone.vertices) @ planes[:, :3].T + planes[:, 3]
         assert away.max() < 1e-7 and np.linalg.norm(corners, axis=1).max() < 0.2 + 1e-3
-    rounded = [note for note in robot.notes if "hulls with fewer corners" in note]
+    rounded = [note for note in robot.notes if "hulls of meshes with too many corners" in note]
     assert len(rounded) == (sides > 255)
 
 

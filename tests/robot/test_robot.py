@@ -97,7 +97,7 @@ def test_no_point_moves_further_than_the_bound(request, name):
         q = robot.random_configurations(rng, 1)[0]
         hull = q + size * rng.standard_normal((3, robot.dof))
         (bounds,) = sweep.in_world(q[None], hull[None])
-        (between,) = sweep.between(q[None], hull[None])
+        (between,) = sweep.between(q[None], hull[None], sweep.poses(q[None]))
         before = placed(robot, geometry, q)
         for weights in rng.dirichlet(np.ones(4), 10):
             after = placed(robot, geometry, weights @ np.vstack([hull, q]))

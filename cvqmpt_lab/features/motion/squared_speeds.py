@@ -15,7 +15,6 @@ The squared speeds b = (ds/dt)^2 solve a linear program: maximise the sum of b o
 keep the limits of velocity, acceleration and effort, which are rows of A b <= 1.
 """
 
-import warnings
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -26,6 +25,7 @@ from scipy.interpolate import BSpline
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.base.polyline import distances_along, states_at
 from cvqmpt_lab.features.motion.frame_speeds import FrameSpeeds
+from cvqmpt_lab.features.motion.linear_program import greatest
 from cvqmpt_lab.robot.dynamics import Dynamics
 from cvqmpt_lab.robot.robot import JointLimits
 
@@ -142,6 +142,7 @@ def squared_speeds(
     ends: tuple[HeldSpeed, HeldSpeed] = (HeldSpeed(), HeldSpeed()),
     flat: float = 1e-3,
     standstill: float = 1e-8,
+    solver: str = "highs",
 ) -> np.ndarray:
     """Squared speeds b = (ds/dt)^2 along a curve with the largest sum within the limits.
 
@@ -154,6 +155,7 @@ def squared_speeds(
         flat: lower bound of |dq/ds| / velocity as a share of its median; it is 0 where all joints
             reverse at once.
         standstill: b, as a share of its typical value, below which the motion stands still.
+        solver: of the linear program, see `linear_program.greatest`.
 
     Returns:
         b (g,) [rad^2/s^2] on the grid.
@@ -189,10 +191,10 @@ def squared_speeds(
         """Return b with this share of the speeds at the ends; None if there is no such b."""
         least = share**2 * held
         most = np.where(fixed, least, bound)
-        return _greatest(rows, most, least) if (least <= bound).all() else None
+        return greatest(rows, most, least, solver) if (least <= bound).all() else None
 
-    greatest = with_ends(1.0)
-    if greatest is None and held.any():
+    found = with_ends(1.0)
+    if found is None and held.any():
         low, high = 0.0, 1.0
         for _ in range(7):
             middle = 0.5 * (low + high)
@@ -202,13 +204,13 @@ def squared_speeds(
                 "the path cannot be timed with these velocities at its ends, but with about "
                 f"{low:.2f} of them: give lower ones, or a higher speed factor on the limits"
             )
-    if greatest is None:
+    if found is None:
         raise InvalidInputError(_why_not(curve, limits, bound))
     bound[fixed] = held[fixed]
-    greatest = np.minimum(greatest, bound)
-    if greatest[1:-1].min() <= standstill:
-        raise InvalidInputError(_why_not(curve, limits, greatest))
-    return scale * np.maximum(greatest, 0.0)
+    found = np.minimum(found, bound)
+    if found[1:-1].min() <= standstill:
+        raise InvalidInputError(_why_not(curve, limits, found))
+    return scale * np.maximum(found, 0.0)
 
 
 def _slow_frames(curve: SmoothCurve, frames: FrameSpeeds) -> np.ndarray:
@@ -332,31 +334,6 @@ def _binding(lower: np.ndarray, upper: np.ndarray, bound: np.ndarray) -> np.ndar
         tighter = (zero <= at_zero) & (end <= at_bound) & (above[:, [r]] == above)
         binding &= ~(tighter & ((zero < at_zero) | (end < at_bound)))
     return binding
-
-
-def _greatest(
-    rows: sparse.csr_matrix, bound: np.ndarray, least: np.ndarray, tolerance: float = 1e-10
-) -> np.ndarray | None:
-    """Solve max sum_i b_i with rows b <= 1, least <= b <= bound; None if there is no solution.
-
-    The program is made anew for every motion: the size of `rows` differs from motion to motion. A
-    program with parameters, padded to a few sizes, takes 2 s to make and then saves 0 to 12 ms.
-    """
-    import cvxpy as cp  # takes half a second, not needed by planning without timing
-
-    b = cp.Variable(len(bound), bounds=[least, bound])
-    problem = cp.Problem(cp.Maximize(cp.sum(b)), [rows @ b <= 1.0])
-    options = {"primal_feasibility_tolerance": tolerance, "dual_feasibility_tolerance": tolerance}
-    try:
-        with warnings.catch_warnings():
-            # inaccurate solutions are accepted here: the limits are checked afterwards
-            warnings.simplefilter("ignore", UserWarning)
-            problem.solve(solver=cp.HIGHS, highs_options=options)
-    except cp.SolverError:
-        return None
-    if problem.status not in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE) or b.value is None:
-        return None
-    return np.asarray(b.value)
 
 
 def _why_not(curve: SmoothCurve, limits: JointLimits, squared: np.ndarray) -> str:

@@ -27,6 +27,7 @@ from scipy.interpolate import PPoly
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.base.polyline import step_lengths
 from cvqmpt_lab.features.motion.frame_speeds import FrameSpeeds
+from cvqmpt_lab.features.motion.linear_program import cvxpy_solver
 from cvqmpt_lab.features.motion.squared_speeds import (
     HeldSpeed,
     SmoothCurve,
@@ -48,6 +49,10 @@ class TimingSettings:
     # (n,) of the joints where the motion begins, along the path [rad/s or m/s]; None: at rest
     start_velocity: Sequence[float] | None = None
     end_velocity: Sequence[float] | None = None  # the same where it ends
+    solver: str = "highs"  # of the linear program, or "cvxpy", see `linear_program.greatest`
+
+    def __post_init__(self) -> None:
+        cvxpy_solver(self.solver)  # refuses one that is not installed before anything is planned
 
 
 def time_path(
@@ -89,7 +94,7 @@ def time_path(
     reasons: Sequence[str] = ()
     for k in range(6):
         curve = smooth_curve(states, settings.deviation / 2**k)
-        timer = _Timer(curve, limits, dynamics, frames)
+        timer = _Timer(curve, limits, dynamics, frames, settings.solver)
         motion = timer.shortest(*ends)
         if settings.duration is not None:
             motion = timer.lasting(motion, settings.duration, *ends)
@@ -169,8 +174,10 @@ class _Timer:
         limits: JointLimits,
         dynamics: Dynamics | None,
         frames: FrameSpeeds | None,
+        solver: str,
     ) -> None:
         self._curve, self._limits, self._dynamics, self._frames = curve, limits, dynamics, frames
+        self._solver = solver
         self._fastest = cache(self._fastest_of)
 
     def shortest(self, begin: float, end: float) -> Trajectory:
@@ -232,7 +239,9 @@ class _Timer:
         if begin.speed or end.speed:
             held = begin.distance, curve.grid[-1] - end.distance
             curve = replace(curve, grid=np.union1d(curve.grid, held))
-        squared = squared_speeds(curve, self._limits, self._dynamics, self._frames, (begin, end))
+        squared = squared_speeds(
+            curve, self._limits, self._dynamics, self._frames, (begin, end), solver=self._solver
+        )
         speeds, steps = np.sqrt(squared), np.diff(curve.grid)
         times = np.concatenate([[0.0], np.cumsum(2.0 * steps / (speeds[1:] + speeds[:-1]))])
         return PPoly([np.diff(squared) / (4.0 * steps), speeds[:-1], curve.grid[:-1]], times)
