@@ -499,7 +499,8 @@ def test_a_mouse_moves_a_drawer_and_a_joint_undoes_both_and_saves(page, tmp_path
         assert client.camera.position[:2] == pytest.approx(target[:2], abs=0.2)
         button = tab.value(  # "reset" of the views, not of the problem
             "(() => { const e = [...document.querySelectorAll('button')]"
-            ".filter((e) => e.textContent.trim() === 'reset').pop(); e.scrollIntoView({block: 'nearest'});"
+            ".filter((e) => e.textContent.trim() === 'reset').pop();"
+            "e.scrollIntoView({block: 'nearest'});"
             "const r = e.getBoundingClientRect();"
             "return [r.x + r.width / 2, r.y + r.height / 2]; })()"
         )
