@@ -21,7 +21,7 @@ help:
 	@echo "make reproduce   20 problems of the place task: all planners, and the paper's experiment in OMPL"
 	@echo "make test        lint, table regression, the site with all notebooks run, tests"
 	@echo "make notebooks   run all notebooks and store their outputs in them"
-	@echo "make docs        the site in build/site: README, docs, results, the API, notebooks with outputs compared with the stored ones"
+	@echo "make docs        docs/*.html, and the site in build/site: README, docs, results, the API, notebooks with outputs compared with the stored ones"
 	@echo "make trust       attack what docs/guarantees.md promises, for two hours, and write the figures there"
 	@echo "make lint        ruff, mypy, import-linter"
 	@echo "make wheel       the wheel in dist/, which pip installs elsewhere with -c constraints.txt"
@@ -93,6 +93,7 @@ pytest: venv-dev
 	$(BIN)/pytest -n 2 --dist worksteal
 
 docs: venv-dev warmup
+	$(BIN)/python docs/pages.py
 	$(BIN)/sphinx-build --quiet --fail-on-warning --keep-going -c docs . build/site
 	$(BIN)/python docs/compare_outputs.py build/jupyter_execute
 

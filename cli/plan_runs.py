@@ -86,12 +86,14 @@ def run(args: argparse.Namespace) -> int:
     # with --json, standard output holds the json object alone
     say = partial(print, file=sys.stderr if args.json else sys.stdout)
     untimed: CvqmptError | OSError | None = None
+    motion: Trajectory | None = None  # that pages show over its seconds
     if args.trajectory:
         try:
             say(write())
+            motion = None if isinstance(item, Task) else planned.motion
         except (CvqmptError, OSError) as error:
             untimed = error  # pictures, pages and states of the certified path are written first
-    for line in _show(args, solution):
+    for line in _show(args, solution, motion):
         say(line)
     if untimed is not None:
         raise untimed
@@ -305,7 +307,9 @@ def _not_limited(robot: Robot) -> str:
     return f"\n            {said}" if said else ""
 
 
-def _show(args: argparse.Namespace, solution: "Solution | TaskSolution") -> list[str]:
+def _show(
+    args: argparse.Namespace, solution: "Solution | TaskSolution", motion: "Trajectory | None"
+) -> list[str]:
     """Write the picture, film, page or recording of the options; return a line for each."""
     # some suites show an object in the hand that their problems leave out
     of_suite = args.suite and isinstance(solution, Solution)
@@ -322,16 +326,30 @@ def _show(args: argparse.Namespace, solution: "Solution | TaskSolution") -> list
             write_picture(args.picture, image)
             what = f"picture of {', '.join(names)}"
         lines.append(f"{what} written to {args.picture}")
-    return lines + [line for path in args.save for line in _saved(path, solution, carried)]
+    saved = partial(_saved, solution=solution, carried=carried, motion=motion, name=_named(args))
+    return lines + [line for path in args.save for line in saved(path)]
 
 
-def _saved(path: Path, solution: "Solution | TaskSolution", carried: Sequence[Any]) -> list[str]:
+def _named(args: argparse.Namespace) -> str:
+    """Return suite and number of a problem, which is named by its number alone; else ""."""
+    return f"{args.suite} {args.problem}" if args.suite else ""
+
+
+def _saved(
+    path: Path,
+    solution: "Solution | TaskSolution",
+    carried: Sequence[Any],
+    motion: "Trajectory | None",
+    name: str,
+) -> list[str]:
     """Write a file of --save; return a line on it.
 
     Args:
         path: the file, whose suffix names what is written.
         solution: what is shown.
         carried: objects that are shown in the hand beside those of the problem.
+        motion: motion along the path, which a page shows; None: the path.
+        name: title of a page; "": the name of the problem.
     """
     if path.suffix == STATES_SUFFIX:
         if not isinstance(solution, Solution) or not solution.path:
@@ -347,7 +365,7 @@ def _saved(path: Path, solution: "Solution | TaskSolution", carried: Sequence[An
     if path.suffix == PAGE_SUFFIX:
         from cvqmpt_lab.features.pictures.web_page import save_page
 
-        save_page(solution, path, carried)
+        save_page(solution, path, carried, motion=motion, name=name)
         size = path.stat().st_size / 1e6
         return [
             f"page written to {path} ({size:.1f} MB); open it in a browser, no network is needed"
@@ -364,7 +382,7 @@ def serve(args: argparse.Namespace) -> None:
 
     problem = _of_page(args)
     compile_kernels(compiling())
-    page = studio(problem, args.port)
+    page = studio(problem, args.port, _named(args))
     interrupts: list[int] = []
     # Python would lose a KeyboardInterrupt that comes while it collects garbage
     signal.signal(signal.SIGINT, lambda number, _: interrupts.append(number))

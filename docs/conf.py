@@ -2,6 +2,9 @@
 they do anywhere.
 """
 
+import shutil
+from pathlib import Path
+
 from docutils.nodes import SkipNode
 from docutils.utils.math.latex2mathml import tex2mathml
 
@@ -41,7 +44,7 @@ napoleon_use_rtype = False
 
 
 def setup(app):
-    """Draw formulas as MathML."""
+    """Draw formulas as MathML; copy the pages of plans to where README's links lead."""
 
     def visit(writer, node, block):
         writer.body.append(tex2mathml(node.astext(), as_block=block))
@@ -52,3 +55,9 @@ def setup(app):
         (lambda writer, node: visit(writer, node, False), None),
         (lambda writer, node: visit(writer, node, True), None),
     )
+
+    def copy_pages(app, error):
+        for page in Path(__file__).parent.glob("*.html"):
+            shutil.copy(page, Path(app.outdir) / "docs" / page.name)
+
+    app.connect("build-finished", copy_pages)

@@ -1,6 +1,7 @@
 """Commands in README, docs, helps and notebooks parse; examples run."""
 
 import ast
+import json
 import re
 import runpy
 from pathlib import Path
@@ -12,12 +13,14 @@ from pages import PAGES, ROOT, commands_of, python_of
 from PIL import Image
 
 import cvqmpt_lab
+from cvqmpt_lab.base.arithmetic import is_pinned
 from cvqmpt_lab.cli.main import COMMANDS, examples_of, main, parser_with
 from cvqmpt_lab.features.motion.timing import time_path
 from cvqmpt_lab.features.motion.trajectory import read_motion, save_trajectory
 from cvqmpt_lab.features.pictures.bodies import BODY_COLOURS
 
 EXAMPLES = sorted((ROOT / "notebooks" / "examples").glob("*.py"))
+LIVE = runpy.run_path(str(ROOT / "docs" / "pages.py"))
 OUTPUTS = runpy.run_path(str(ROOT / "docs" / "compare_outputs.py"))
 
 
@@ -238,3 +241,21 @@ def test_a_motion_becomes_the_fields_of_a_ros_2_message(tmp_path, solution):
     assert last["velocities"] == last["accelerations"] == [0.0] * 7 and last["effort"] == []
     when = last["time_from_start"]
     assert when["sec"] + 1e-9 * when["nanosec"] == pytest.approx(motion.duration, abs=1e-9)
+
+
+@pytest.mark.parametrize("name", LIVE["NAMES"])
+def test_pages_of_plans_are_what_their_program_writes(name):
+    stored, made = (ROOT / "docs" / f"{name}.html").read_text(), LIVE["page"](name)
+    assert len(stored) < 1e6 and f'href="docs/{name}.html"' in (ROOT / "README.md").read_text()
+    if is_pinned():
+        assert stored == made, "python docs/pages.py writes it again"
+        return
+    parts = [
+        re.split(r'(?<="data">)(.*?)(?=</script>)', text, maxsplit=1) for text in (stored, made)
+    ]
+    (before, old, after), (begin, new, end) = parts
+    old, new = json.loads(old), json.loads(new)
+    assert (before, after) == (begin, end) and old.keys() == new.keys()
+    for key in ("title", "ground", "meshes"):
+        assert len(str(old[key])) == pytest.approx(len(str(new[key])), rel=0.02)
+    assert new["times"][-1] == pytest.approx(old["times"][-1], rel=0.05)

@@ -184,7 +184,39 @@ def triangles_of_file(path: str, scale: Sequence[float]) -> tuple[np.ndarray, np
     mesh = coal.MeshLoader().load(path, np.array(scale))
     faces = [[face[0], face[1], face[2]] for face in map(mesh.tri_indices, range(mesh.num_tris))]
     points = np.array(mesh.vertices(), dtype=float).reshape(-1, 3)
-    return points, np.array(faces, dtype=int).reshape(-1, 3)
+    indices = np.array(faces, dtype=int).reshape(-1, 3)
+    if len(np.unique(indices)) == len(points):
+        return points, indices
+    return _triangles_of_parts(path, scale, points)
+
+
+def _triangles_of_parts(
+    path: str, scale: Sequence[float], expected: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return vertices and triangles of a file with several parts, e.g. one of each material.
+
+    coal's loader counts the vertices of each part from 0, so that triangles of later parts have
+    corners of the first one, and vertices remain that no triangle has.
+
+    Where trimesh does not find them either, the triangles are those of the hull of all vertices,
+    which contains the mesh.
+
+    Args:
+        path: path of the file.
+        scale: factors (3,) of x, y, z.
+        expected: vertices (n, 3) by coal's loader, which are right [m].
+    """
+    from cvqmpt_lab.base.mesh_parts import hull_faces, points_and_faces  # 1 s to import
+
+    points, faces = points_and_faces(path)
+    points = points * scale
+    near = 1e-4 * np.ptp(expected, axis=0).max()
+    if len(points):
+        low, high = points.min(axis=0), points.max(axis=0)
+        ends = np.abs([low - expected.min(axis=0), high - expected.max(axis=0)])
+        if ends.max() < near:
+            return points, faces
+    return hull_faces(expected)
 
 
 def _are_polytope(points: np.ndarray, corners: np.ndarray) -> bool:

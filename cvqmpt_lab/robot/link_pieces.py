@@ -197,8 +197,9 @@ def pieces_of_meshes(
 
 def _sources() -> str:
     """Return the digest of the files that cut meshes."""
+    folder = Path(convex.__file__).parent
     return sources_digest(
-        Path(convex.__file__), Path(convex.__file__).with_name("convex_pieces.py")
+        folder / "convex.py", folder / "convex_pieces.py", Path(__file__).with_name("hulls.py")
     )
 
 

@@ -13,7 +13,7 @@ from cvqmpt_lab.features.motion.record import record, report_of
 from cvqmpt_lab.features.motion.trajectory import Motion
 from cvqmpt_lab.features.pictures.bodies import drawing_of_solution
 from cvqmpt_lab.planning.pipeline import solve
-from cvqmpt_lab.robot.hulls import hull_vertices
+from cvqmpt_lab.robot.hulls import hull_vertices, triangles_of_file
 from cvqmpt_lab.robot.link_pieces import hull_gaps
 from cvqmpt_lab.robot.load import load_robot, robot_from_source
 from cvqmpt_lab.scene.scene import Scene
@@ -168,3 +168,19 @@ def test_a_hull_with_too_many_neighbours_at_a_corner_is_rounded_outwards(tmp_pat
         assert away.max() < 1e-7 and np.linalg.norm(corners, axis=1).max() < 0.2 + 1e-3
     rounded = [note for note in robot.notes if "hulls of meshes with too many corners" in note]
     assert len(rounded) == (sides > 255)
+
+
+def test_parts_of_several_materials_keep_their_triangles(tmp_path):
+    boxes = [trimesh.creation.box((0.1, 0.1, 0.1), placed) for placed in (np.eye(4), np.eye(4))]
+    boxes[1].apply_translation((0.5, 0.0, 0.0))
+    (tmp_path / "two.mtl").write_text("newmtl m0\nKd 1 0 0\nnewmtl m1\nKd 0 1 0\n")
+    lines = ["mtllib two.mtl", "o both"]
+    lines += [f"v {x} {y} {z}" for box in boxes for x, y, z in box.vertices]
+    for k, box in enumerate(boxes):
+        lines += [f"usemtl m{k}", *(f"f {a} {b} {c}" for a, b, c in box.faces + 8 * k + 1)]
+    (tmp_path / "two.obj").write_text("\n".join(lines) + "\n")
+    points, faces = triangles_of_file(str(tmp_path / "two.obj"), (2.0, 2.0, 2.0))
+    assert len(faces) == 24
+    triangles = points[faces]
+    assert np.ptp(triangles, axis=1).max() < 0.21, "no triangle joins the two boxes"
+    assert sum(triangles[:, 0, 0] > 0.5) == 12, "each box has its own triangles"

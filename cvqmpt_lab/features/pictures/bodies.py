@@ -46,6 +46,7 @@ BODY_COLOURS: Mapping[str, Colour] = {
     "load": (0.86, 0.24, 0.20),
     "trace": (0.96, 0.55, 0.05),
     "constraint": (0.60, 0.25, 0.72),
+    "chosen": (0.93, 0.16, 0.55),  # outline of what is chosen in the studio
 }
 # colours of scene objects by the beginning of a word in their name; the first match is used
 OBJECT_COLOURS: Mapping[str, Colour] = {
@@ -102,6 +103,15 @@ class Drawing:
     unseen: Sequence[str] = ()  # lines on space that nobody saw, in amber on a web page
 
     @property
+    def under(self) -> float:
+        """Height of the ground [m]: the floor, or the lowest point of scene and motion."""
+        if self.ground is not None:
+            return self.ground
+        some = range(0, len(self.labels), max(1, len(self.labels) // 10))
+        meshes = [mesh_of(self.scene), *(mesh_of(self.moving, k) for k in some)]
+        return lowest_point(*meshes)
+
+    @property
     def floor(self) -> list[Body]:
         """A square plate with its top at height `ground`; empty if there is no floor."""
         if self.ground is None:
@@ -156,6 +166,11 @@ def ground_height(scene: Scene) -> float | None:
         if isinstance(item.shape, Box) and not item.obstacle
     ]
     return max(tops, default=None)
+
+
+def lowest_point(*meshes: Mesh) -> float:
+    """Height of the lowest corner of some meshes [m]; 0 if they have none."""
+    return min((float(m.corners[..., 2].min()) for m in meshes if len(m.corners)), default=0.0)
 
 
 def robot_bodies(
@@ -284,6 +299,7 @@ def drawing_of_solution(
     plots: bool = False,
     goals: int = 1,
     hidden: Sequence[str] = HIDDEN_OBJECTS,
+    path: JointPath | None = None,
 ) -> Drawing:
     """Drawing of a solution of a problem or task.
 
@@ -295,12 +311,13 @@ def drawing_of_solution(
         plots: whether there are plots along the path or task.
         goals: largest number of goals drawn if there is no path.
         hidden: names of scene objects that are not drawn.
+        path: states of a motion along the path of a problem; None: the path.
     """
     if isinstance(solution, TaskSolution):
         return drawing_of_task(solution, hidden=hidden, plots=plots)
     return drawing_of_problem(
         solution.problem,
-        solution.path,
+        path or solution.path,
         carried,
         most_states,
         goals=goals,

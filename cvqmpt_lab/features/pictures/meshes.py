@@ -1,7 +1,7 @@
 """Triangle meshes of hulls, shapes, curves, rods and cones, of constraint regions and frames."""
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -105,10 +105,10 @@ def shape_mesh(shape: Shape, most_balls: int = 4000) -> Mesh:
         case Cylinder(radius, height):
             return hull_mesh(prism_around(radius, (-0.5 * height, 0.5 * height), sides=32))
         case Sphere(radius):
-            return hull_mesh(radius * _sphere_points(200))
+            return _ball(radius, 200)
         case PointCloud(points, radius):
             every = -(-len(points) // most_balls)
-            return _copies(hull_mesh(radius * np.sqrt(every) * _sphere_points(12)), points[::every])
+            return _copies(_ball(radius * np.sqrt(every), 12), points[::every])
         case OccupancyMap():
             low, high, _ = blocks_of(shape, np.eye(4))
             cube = hull_mesh(Box((1.0, 1.0, 1.0)).vertices)
@@ -128,7 +128,7 @@ def beads(points: np.ndarray, radius: float = 0.008, spacing: float = 0.012) -> 
     travelled = distances_along(points)
     at = np.linspace(0.0, travelled[-1], 1 + int(travelled[-1] / spacing))
     centres = states_at(points, travelled, at)
-    return _copies(hull_mesh(radius * _sphere_points(24)), centres)
+    return _copies(_ball(radius, 24), centres)
 
 
 def rod(start: np.ndarray, end: np.ndarray, radius: float) -> Mesh:
@@ -162,6 +162,13 @@ def _copies(mesh: Mesh, centres: np.ndarray, scales: np.ndarray | None = None) -
     corners = (centres[:, None, None] + scaled).reshape(-1, 3, 3)
     normals = np.tile(mesh.normals, (len(centres), 1, 1))
     return Mesh(corners, normals, np.ones((len(corners), 3)), np.zeros(len(corners), dtype=int))
+
+
+@lru_cache(maxsize=64)  # equal balls are one mesh of a page
+def _ball(radius: float, count: int) -> Mesh:
+    """Mesh of a ball about the origin with so many vertices, shaded as a smooth surface."""
+    mesh = hull_mesh(radius * _sphere_points(count))
+    return replace(mesh, normals=unit(mesh.corners))
 
 
 def _sphere_points(count: int) -> np.ndarray:
@@ -260,7 +267,7 @@ def _surface_marks(
         away = np.linalg.norm(points[:, None] - places[:: 1 + len(places) // 50], axis=2)
         points = points[away.min(axis=1) < near]
     if len(points):
-        yield _copies(hull_mesh(1.5 * radius * _sphere_points(12)), points)
+        yield _copies(_ball(1.5 * radius, 12), points)
     if rows & {7, 9}:
         for k in (0, -1):
             yield rod(places[k], T_world_w[min(k, len(T_world_w) - 1), :3, 3], radius)

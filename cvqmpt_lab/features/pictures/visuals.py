@@ -13,7 +13,7 @@ from cvqmpt_lab.base.caches import cached_arrays, sources_digest
 from cvqmpt_lab.base.errors import InvalidInputError, few
 from cvqmpt_lab.base.poses import rigid, rotation_of_rpy
 from cvqmpt_lab.features.pictures.meshes import Colour, Mesh, hull_mesh, shape_mesh, unit
-from cvqmpt_lab.robot.hulls import triangles_of_file
+from cvqmpt_lab.robot import hulls
 from cvqmpt_lab.robot.robot import LinkGeometry, Robot
 from cvqmpt_lab.robot.source import content_digest, mesh_path, read_source
 from cvqmpt_lab.robot.urdf import read_urdf
@@ -53,12 +53,12 @@ def drawn_pieces(robot: Robot) -> tuple[DrawnPiece, ...]:
     A robot whose source has "bodies": "hulls" is drawn by its hulls.
     """
     given = read_source(robot.source)
-    hulls: dict[str, list[LinkGeometry]] = {}
+    by_link: dict[str, list[LinkGeometry]] = {}
     objects = robot.collision_model.geometryObjects
     for piece, item in zip(robot.links, objects, strict=True):
-        hulls.setdefault(robot.model.frames[item.parentFrame].name, []).append(piece)
+        by_link.setdefault(robot.model.frames[item.parentFrame].name, []).append(piece)
     if given.bodies == "hulls":
-        return tuple(_drawn_hull(piece) for pieces in hulls.values() for piece in pieces)
+        return tuple(_drawn_hull(piece) for pieces in by_link.values() for piece in pieces)
     folders, urdf = [Path(folder) for folder in given.package_dirs], Path(given.urdf)
     visuals, failed = dict[str, list[_Visual]](), dict[str, str]()
     root = read_urdf(urdf, given.package_dirs).root
@@ -75,13 +75,13 @@ def drawn_pieces(robot: Robot) -> tuple[DrawnPiece, ...]:
         [visual for own in visuals.values() for visual in own if visual.path]
     )
     found = list[DrawnPiece]()
-    for name in dict.fromkeys((*hulls, *visuals)):
+    for name in dict.fromkeys((*by_link, *visuals)):
         own = visuals.get(name, [])
         unread = [visual.path for visual in own if visual.path and not meshes[visual.file]]
         if unread:
             failed[name] = f"{unread[0]} cannot be read"
         if unread or not own:
-            found += [_drawn_hull(piece) for piece in hulls.get(name, [])]
+            found += [_drawn_hull(piece) for piece in by_link.get(name, [])]
             continue
         for k, visual in enumerate(own):
             body = shape_mesh(visual.shape) if visual.shape else meshes[visual.file]
@@ -153,8 +153,8 @@ def _simplified_meshes(
     """Return the simplified meshes by path and scale; None for unreadable files."""
     wanted = list(dict.fromkeys(visual.file for visual in visuals))
     # robots of many links have coarser ones, so that pages stay small
-    most = min(max(24_000 // max(len(visuals), 1), 300), 1200)
-    made_of = [f"{sources_digest(Path(__file__))} {most}"]
+    most = min(max(40_000 // max(len(visuals), 1), 300), 3000)
+    made_of = [f"{sources_digest(Path(__file__), Path(hulls.__file__))} {most}"]
     made_of += [f"{content_digest(path)} {scale}" for path, scale in wanted]
 
     def make() -> dict[str, np.ndarray]:
@@ -182,7 +182,7 @@ def _simplified_meshes(
 def _read(path: str, scale: Sequence[float], most: int) -> tuple[np.ndarray, np.ndarray]:
     """Return a file's mesh of at most so many triangles, of none if it cannot be read."""
     try:
-        points, faces = triangles_of_file(path, scale)
+        points, faces = hulls.triangles_of_file(path, scale)
     except (ValueError, RuntimeError):
         return np.zeros((0, 3)), np.zeros((0, 3), dtype=int)
     return simplified(points, faces[:, ::-1] if np.prod(scale) < 0.0 else faces, most)

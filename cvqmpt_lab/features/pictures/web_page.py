@@ -9,7 +9,7 @@ from base64 import b64encode
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -22,16 +22,27 @@ from cvqmpt_lab.features.pictures.bodies import (
     mesh_of,
 )
 from cvqmpt_lab.features.pictures.curves import Plot
-from cvqmpt_lab.features.pictures.raster import clear_viewpoint
+from cvqmpt_lab.features.pictures.meshes import Mesh, shape_mesh
+from cvqmpt_lab.features.pictures.raster import Viewpoint, clear_viewpoint
 from cvqmpt_lab.features.tasks.solve import TaskSolution
 from cvqmpt_lab.planning.solution import Solution
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.scene.scene import Attachment
+from cvqmpt_lab.scene.shapes import Box
 from cvqmpt_lab.search.result import JointPath
+
+if TYPE_CHECKING:
+    from cvqmpt_lab.features.motion.trajectory import Trajectory
 
 PAGE_TEMPLATE = Path(__file__).with_name("plan_page.html")
 # element of the template; {} is replaced by the data
 PAGE_DATA_ELEMENT = '<script type="application/json" id="data">{}</script>'
+
+# colours of curves, and of their bounds
+PALETTE = (
+    "#1f6fb4", "#d1662a", "#2e8b57", "#8a4fa3", "#b8336a", "#8c6d1f", "#3aa6a6", "#70757d",
+)  # fmt: skip
+BOUND_COLOUR = "#cc3333"
 
 
 def save_page(
@@ -39,6 +50,8 @@ def save_page(
     path: Path | str,
     carried: Sequence[Attachment] = (),
     most_states: int = 400,
+    motion: "Trajectory | None" = None,
+    name: str = "",
 ) -> None:
     """Write a solution or a task as one html file; a task is shown up to the phase that failed.
 
@@ -47,8 +60,21 @@ def save_page(
         path: the file to write.
         carried: objects drawn in the hand if the problem has no attachments.
         most_states: a path of more states is resampled to this number, at equal distances.
+        motion: motion along the path of a problem, shown over its seconds; None: the path.
+        name: first words of the title; "": the name of the problem or task.
     """
-    write_text(Path(path), _html(drawing_of_solution(solution, carried, most_states, plots=True)))
+    if motion is not None and isinstance(solution, Solution):
+        # a tenth of a second between states, or longer
+        sampled = motion.sampled(max(0.1, motion.duration / (most_states - 1)))
+        drawing = drawing_of_solution(
+            solution, carried, plots=True, path=JointPath(sampled.positions)
+        )
+        drawing = replace(drawing, times=sampled.times)
+    else:
+        drawing = drawing_of_solution(solution, carried, most_states, plots=True)
+    if name:
+        drawing = replace(drawing, title=f"{name}: {drawing.title.partition(': ')[2]}")
+    write_text(Path(path), _html(drawing))
 
 
 def path_html(
@@ -93,8 +119,8 @@ def _html(drawing: Drawing) -> str:
 
 def page_data(
     drawing: Drawing,
-    size: tuple[int, int] = (1100, 600),
-    layers: Sequence[str] = ("goals", "path", "constraint", "hand"),
+    size: tuple[int, int] = (940, 720),
+    layers: Sequence[str] = ("start", "goals", "path", "constraint", "hand"),
 ) -> dict[str, Any]:
     """Return what the page's viewer reads, as plain data.
 
@@ -103,50 +129,41 @@ def page_data(
         size: width and height [pixels] for which the initial viewpoint is chosen.
         layers: what is drawn beside robot and scene.
     """
-    # choose a viewpoint that shows the robot at the start of a task, or at both ends of a path
-    ends = (0,) if drawing.times is not None else (0, len(drawing.labels) - 1)
-    robot = [body for body in drawing.moving if body.layer == "robot"]
-    views = [mesh_in_view(robot, k) for k in ends]
-    # and that contains the whole motion, tested at about ten states
-    count = len(drawing.labels)
-    inside = [mesh_in_view(drawing.moving, k) for k in range(0, count, max(1, count // 10))]
-    torso = mesh_of(body for body in robot if body.torso)
-    viewpoint = clear_viewpoint(views, mesh_of(drawing.scene), size, inside, torso)
-    bodies = drawing.bodies(*layers)
-    meshes = list(dict.fromkeys(body.mesh for body in bodies))
+    viewpoint = _viewpoint(drawing, size)
+    bodies = [*drawing.scene, *drawing.moving]
+    for layer in drawing.layers(*layers).values():
+        bodies += layer
+    square = shape_mesh(Box((40.0, 40.0, 1e-3)))
+    meshes = list(dict.fromkeys((square, *(body.mesh for body in bodies))))
     offset = np.subtract(viewpoint.eye, viewpoint.target)
     distance = float(np.linalg.norm(offset))
-    labels = list(drawing.labels)
-    if drawing.times is not None:
-        labels = [f"{name}, {t:.1f} s" for name, t in zip(labels, drawing.times, strict=True)]
+    times = drawing.times
     return {
         "title": drawing.title,
         "lines": list(drawing.lines),
         "unseen": list(drawing.unseen),
-        "states": len(labels),
-        "labels": labels,
+        "states": len(drawing.labels),
+        "labels": _labels(drawing),
+        "times": None if times is None else [round(float(t), 4) for t in times],
         # duration of the animation [s]
-        "seconds": 6.0 if drawing.times is None else max(float(np.ptp(drawing.times)), 1.0),
+        "seconds": 6.0 if times is None else max(float(np.ptp(times)), 1.0),
         "camera": {
             "target": list(map(float, viewpoint.target)),
             "distance": distance,
             "azimuth": math.atan2(offset[1], offset[0]),
             "elevation": math.asin(offset[2] / distance),
             "angle": viewpoint.height_angle,
+            "aspect": size[0] / size[1],
         },
-        "meshes": [
-            {
-                "positions": _base64(points.astype("<f4")),
-                # integers from -127 to 127
-                "normals": _base64(np.round(127 * normals).astype(np.int8)),
-                "faces": _base64(faces.astype("<u4")),
-            }
-            for points, normals, faces in (mesh.shared for mesh in meshes)
-        ],
+        "ground": drawing.under,
+        "square": 0,  # index of the mesh of the ground
+        "box": _shadowed(drawing),
+        "meshes": [_mesh(mesh) for mesh in meshes],
         "bodies": [
             {
                 "group": body.group,
-                "colour": list(map(float, body.colour)),
+                "layer": body.layer.split("/")[0],
+                "colour": [round(float(part), 4) for part in body.colour],
                 "opacity": body.opacity,
                 "mesh": meshes.index(body.mesh),
                 "poses": _base64(body.poses[:, :3].astype("<f4")),
@@ -157,17 +174,62 @@ def page_data(
     }
 
 
+def _viewpoint(drawing: Drawing, size: tuple[int, int]) -> Viewpoint:
+    """Viewpoint that shows the robot at the start of a timed motion, or at both ends of a path.
+
+    The whole motion is in the picture, tested at about ten states.
+    """
+    count = len(drawing.labels)
+    ends = (0,) if drawing.times is not None else (0, count - 1)
+    robot = [body for body in drawing.moving if body.layer == "robot"]
+    views = [mesh_in_view(robot, k) for k in ends]
+    inside = [mesh_in_view(drawing.moving, k) for k in range(0, count, max(1, count // 10))]
+    torso = mesh_of(body for body in robot if body.torso)
+    return clear_viewpoint(views, mesh_of(drawing.scene), size, inside, torso)
+
+
+def _labels(drawing: Drawing) -> list[str]:
+    """Text beside the slider at each state: seconds where the motion is timed."""
+    if drawing.times is None:
+        return list(drawing.labels)
+    end = drawing.times[-1]
+    names = (f", {name}" if not name.startswith("state ") else "" for name in drawing.labels)
+    times = drawing.times.tolist()
+    return [f"{t:.1f} of {end:.1f} s{name}" for t, name in zip(times, names, strict=True)]
+
+
+def _shadowed(drawing: Drawing) -> dict[str, Any]:
+    """Ball in which bodies cast shadows: around scene and robot, at most 2.6 m in radius."""
+    corners = mesh_of([*drawing.scene, *drawing.moving]).corners
+    robot = mesh_of(drawing.moving).corners
+    low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
+    middle = 0.5 * (robot.min(axis=(0, 1)) + robot.max(axis=(0, 1)))
+    away = np.maximum(high - middle, middle - low)
+    return {"middle": middle.tolist(), "radius": min(float(np.linalg.norm(away)), 2.6)}
+
+
+def _mesh(mesh: Mesh) -> dict[str, Any]:
+    """Mesh as plain data for json: positions as shares of its box, in 16 bits."""
+    points, normals, faces = mesh.shared
+    low, high = points.min(axis=0), points.max(axis=0)
+    size = np.maximum(high - low, 1e-9)
+    wide = len(points) > 65_535
+    return {
+        "low": [float(f"{x:.7g}") for x in low],
+        "size": [float(f"{x:.7g}") for x in size],
+        "positions": _base64(np.round(65_535 * (points - low) / size).astype("<u2")),
+        "normals": _base64(np.round(127 * normals).astype(np.int8)),
+        "faces": _base64(faces.astype("<u4" if wide else "<u2")),
+        "wide": wide,  # whether indices have 32 bits
+    }
+
+
 def _base64(array: np.ndarray) -> str:
     """Base64 text of an array's bytes."""
     return b64encode(array.tobytes()).decode()
 
 
-def _plot(
-    plot: Plot,
-    palette: Sequence[str] = (
-        "#1f6fb4", "#d1662a", "#2e8b57", "#8a4fa3", "#b8336a", "#8c6d1f", "#3aa6a6", "#70757d",
-    ),
-) -> dict[str, Any]:  # fmt: skip
+def _plot(plot: Plot) -> dict[str, Any]:
     """Plot as plain data for json; bounds are red, and numbers that are not finite become null."""
     low, high = plot.extremes
     margin = 0.08 * max(high - low, 1e-3)
@@ -179,7 +241,7 @@ def _plot(
             {
                 "name": name,
                 "values": [float(f"{x:.6g}") if math.isfinite(x) else None for x in values],
-                "colour": "#cc3333" if bound else palette[k % len(palette)],
+                "colour": BOUND_COLOUR if bound else PALETTE[k % len(PALETTE)],
                 "width": 1.0 if bound else plot.width,
                 "bound": bound,
             }

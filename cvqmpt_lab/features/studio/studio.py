@@ -1,6 +1,6 @@
 """Page in the browser on which start, goal and obstacles are moved, and the path follows.
 
-The only module that imports viser, which serves the page. All tabs of the page show the same state.
+viser serves the page. All tabs of the page show the same state.
 """
 
 import html
@@ -22,6 +22,7 @@ from cvqmpt_lab.base.errors import (
 )
 from cvqmpt_lab.base.poses import Placement
 from cvqmpt_lab.features.pictures.bodies import (
+    BODY_COLOURS,
     Body,
     drawing_of_problem,
     mesh_in_view,
@@ -32,13 +33,31 @@ from cvqmpt_lab.features.pictures.bodies import (
 from cvqmpt_lab.features.pictures.meshes import Colour, shape_mesh
 from cvqmpt_lab.features.pictures.raster import clear_viewpoint
 from cvqmpt_lab.features.studio.studio_guard import Guard, is_choice, is_number, is_switch
+from cvqmpt_lab.features.studio.studio_look import (
+    GHOST_LAYERS,
+    VIEWS,
+    Timed,
+    outline,
+    thinner,
+    timed,
+)
 from cvqmpt_lab.features.studio.studio_planning import Response, Studio
+from cvqmpt_lab.features.studio.studio_plots import PlotPanel
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import SLOW_SPEED
 
+MOST_EDGES = 20_000  # of an outline that is drawn
+EDGE_COLOUR = (60, 60, 66)  # of outlines of what is not chosen
 
-def studio(problem: PlanningProblem, port: int = 8090) -> "StudioPage":
-    """Serve a page at a local address until its `stop()` is called; port 0: any free port."""
+
+def studio(problem: PlanningProblem, port: int = 8090, name: str = "") -> "StudioPage":
+    """Serve a page at a local address until its `stop()` is called.
+
+    Args:
+        problem: the problem to start from.
+        port: port of the address; 0: any free port.
+        name: title of the page, e.g. suite and number; "": the name of the problem.
+    """
     require_installed("viser", "studio", "studio")
     import viser
 
@@ -50,7 +69,9 @@ def studio(problem: PlanningProblem, port: int = 8090) -> "StudioPage":
         ) from error
     guard = Guard()
     with guard.installed():
-        server = viser.ViserServer("127.0.0.1", port, f"cvqmpt: {problem.name}", verbose=False)
+        server = viser.ViserServer(
+            "127.0.0.1", port, f"cvqmpt: {name or problem.name}", verbose=False
+        )
     if not guard.started:
         server.stop()
         raise InvalidInputError(
@@ -69,6 +90,9 @@ class StudioPage:
         self.address = f"http://127.0.0.1:{server.get_port()}/{guard.token}"
         self._guard, self._drawing = guard, threading.RLock()  # one thread draws at a time
         self._nodes: dict[str, tuple[Body, Any]] = {}  # bodies and nodes of the scene by name
+        self._edges: dict[str, Any] = {}  # nodes of outlines, by the name of the body's node
+        self._timed: Timed | None = None  # the timed path, some time after the response
+        self._timer: threading.Timer | None = None
         self._moving: list[tuple[Any, np.ndarray]] = []  # nodes, and their poses along the path
         self._points: list[Any] = []  # nodes of `sampled_hands`
         self._dragged: set[str] = set()  # names of the gizmos that the user is dragging
@@ -79,7 +103,7 @@ class StudioPage:
         gui, problem = server.gui, live.problem
         # no share button and no answer to its request, which would open a public address
         server.request_share_url = lambda verbose=True: None
-        gui.configure_theme(show_logo=False, show_share_button=False)
+        self._set_theme(dark=False)
         gui.main_panel.dock_right()  # beside the view, not over it
         self._state = gui.add_html(_badge("planning ..."))
 
@@ -103,6 +127,10 @@ class StudioPage:
             guard.values[element._impl.uuid] = partial(is_number, least=least, most=most)
             return element
 
+        self._readout = gui.add_html("")
+        views = gui.add_button_group("view", ("reset", *VIEWS))
+        guard.values[views._impl.uuid] = partial(is_choice, choices=("reset", *VIEWS))
+        views.on_click(self._look)
         self._slider = slider("along the path", 0.0, 1.0, 0.01, 0.0)
         self._slider.on_update(lambda event: self._pose_robot())
         speed = slider("speed", 0.05, 1.0, 0.05, SLOW_SPEED)
@@ -116,6 +144,8 @@ class StudioPage:
         }
         for name, element in self._controls.items():
             element.on_update(partial(self._change, name))
+        self._where = gui.add_html("")
+        self._plots = PlotPanel(gui, gui.add_folder("plots"))
         with gui.add_folder("joints of the start [rad or m]", expand_by_default=False):
             # limits are rounded inwards, because the page rounds to steps
             limits = np.ceil(1e3 * problem.robot.lower), np.floor(1e3 * problem.robot.upper)
@@ -123,6 +153,8 @@ class StudioPage:
                 joint = slider(problem.robot.joint_names[k], least, most, 0.001, least)
                 joint.on_update(partial(self._move_joint, k))
                 self._joints.append(joint)
+        dark = switch(gui.add_checkbox("dark", False))
+        dark.on_update(lambda event: self._set_theme(event.target.value))
         with gui.add_folder("details", expand_by_default=False):
             self._text = gui.add_markdown("planning ...")
         with gui.add_folder("layers", expand_by_default=False):
@@ -142,6 +174,7 @@ class StudioPage:
             gizmo.on_update(partial(self._drag, name))
             self._gizmos[name] = gizmo
         self._mark_chosen()
+        self._draw_ground()
         robot = robot_bodies(problem, problem.start[None])
         still = mesh_of(scene_bodies(problem.scene))
         torso = mesh_of(body for body in robot if body.torso)
@@ -161,19 +194,61 @@ class StudioPage:
 
     def stop(self) -> None:
         """End planning and close the address."""
+        if self._timer is not None:
+            self._timer.cancel()
         self.live.stop()
         self.server.stop()
 
-    def _fit_phone(self, client: Any) -> None:
-        """Show the scene smaller and above the panel if the screen is upright."""
+    def _fit_phone(self, client: Any, away: np.ndarray | None = None) -> None:
+        """Show the scene smaller and above the panel if the screen is upright.
+
+        away: vector from what is looked at to the eye [m]; None: that of the first view.
+        """
         if client.camera.aspect < 1.0:
             start = self.server.initial_camera
-            away = np.subtract(start.position, start.look_at) / max(client.camera.aspect, 0.3)
+            away = np.subtract(start.position, start.look_at) if away is None else away
+            away = away / max(client.camera.aspect, 0.3)
             height = 2.0 * np.tan(0.5 * start.fov) * np.linalg.norm(away)  # of the view [m]
             middle = start.look_at - np.array([0.0, 0.0, 0.2 * height])
             with client.atomic():  # a new position moves the point that is looked at
                 client.camera.position = middle + away
                 client.camera.look_at = middle
+
+    def _set_theme(self, dark: bool) -> None:
+        """Show panel and background light or dark, without viser's logo and share button."""
+        self.server.gui.configure_theme(
+            dark_mode=bool(dark), show_logo=False, show_share_button=False
+        )
+
+    def _draw_ground(self) -> None:
+        """Draw shadows, a grid with lines every half metre, and the axes of the world."""
+        scene, problem = self.server.scene, self.live.problem
+        scene.configure_default_lights(enabled=True, cast_shadow=True)
+        under = drawing_of_problem(problem, None, ghosts=0).under
+        scene.add_grid(
+            "/grid", 5.0, 5.0, position=(0.0, 0.0, under + 0.002), cell_size=0.5, section_size=1.0,
+            cell_color=(190, 190, 195), shadow_opacity=0.3, fade_distance=12.0,
+        )  # fmt: skip
+        reach = problem.robot.reach
+        scene.add_frame("/axes", axes_length=0.15 * reach, axes_radius=0.004 * reach)
+
+    def _look(self, event: Any) -> None:
+        """Move the camera of the tab to the view whose button was pressed."""
+        start, client = self.server.initial_camera, event.client
+        if client is None:
+            return
+        away = np.subtract(start.position, start.look_at)
+        if event.target.value in VIEWS:
+            azimuth, elevation = VIEWS[event.target.value]
+            across = np.cos(elevation)
+            towards = [across * np.cos(azimuth), across * np.sin(azimuth), np.sin(elevation)]
+            away = np.linalg.norm(away) * np.array(towards)
+        with client.atomic():  # a new position moves the point that is looked at
+            client.camera.position = start.look_at + away
+            client.camera.look_at = start.look_at
+            client.camera.up_direction = (0.0, 0.0, 1.0)
+        if client.camera.aspect < 1.0:
+            self._fit_phone(client, away)
 
     def _save(self, kind: str, event: Any) -> None:
         """Send a file to the tab whose button was pressed."""
@@ -187,9 +262,13 @@ class StudioPage:
 
     def _play(self, event: Any) -> None:
         """Move the slider along the path."""
+        shown = self._timed
+        seconds = 0.4 / self.live.request.speed  # 4 s at 0.1 of the joint limits
+        if shown is not None and shown.times is not None:
+            seconds = float(shown.times[-1])
         for k in range(101):
             self._slider.value = 0.01 * k
-            time.sleep(0.004 / self.live.request.speed)  # 4 s at 0.1 of the joint limits
+            time.sleep(0.01 * seconds)
 
     async def _drag(self, name: str, event: Any) -> None:
         """Submit the pose of a gizmo; viser calls coroutines in order, functions perhaps not."""
@@ -202,6 +281,7 @@ class StudioPage:
         w, x, y, z = event.target.wxyz.tolist()
         a, b, c = event.target.position.tolist()
         T = Placement(xyz=(a, b, c), quaternion=(x, y, z, w)).matrix
+        self._read_out(T)
         if name == "start":
             self.live.move_start(T)
         elif name == "goal":
@@ -254,9 +334,15 @@ class StudioPage:
         chosen = self._chosen.value
         for name, gizmo in self._gizmos.items():
             gizmo.visible = name == (chosen if chosen in ("start", "goal") else "obstacle")
-        for body, node in self._nodes.values():
-            marked = _mover_of(body) == chosen and body.layer != "robot"
-            node.color = (255, 165, 25) if marked else _rgb(body.colour)
+        for name, edges in self._edges.items():
+            body = self._nodes[name][0]
+            marked = _mover_of(body) == chosen
+            colour = _rgb(BODY_COLOURS["chosen"]) if marked else EDGE_COLOUR
+            edges.colors = np.array(colour, np.uint8)
+            edges.thickness = 3.0 if marked else 1.0
+            edges.visible = marked or body.layer == "scene"
+        if chosen in ("start", "goal"):
+            self._read_out(_pose_of(self._gizmos[chosen]))
         items, gizmo = self.live.groups.get(chosen), self._gizmos["obstacle"]
         if items is None or "obstacle" in self._dragged:
             return
@@ -266,12 +352,48 @@ class StudioPage:
         )
         size = np.linalg.norm(corners - T[:3, 3], axis=1).max()
         gizmo.scale = float(max(0.2 * self.live.problem.robot.reach, 1.2 * size))
-        _place(gizmo, self.live.request.moved.get(items[0].name, T))
+        T = self.live.request.moved.get(items[0].name, T)
+        _place(gizmo, T)
+        self._read_out(T)
+
+    def _read_out(self, T: np.ndarray) -> None:
+        """Show where the chosen body is, for its pose (4, 4) [m]."""
+        x, y, z = T[:3, 3]
+        name = html.escape(self._chosen.value)
+        self._readout.content = (
+            '<div style="margin:0 1em 0.5em;font-variant-numeric:tabular-nums">'
+            f"<b>{name}</b>: x {x:.3f}, y {y:.3f}, z {z:.3f} m</div>"
+        )
 
     def _show(self, response: Response) -> None:
         """Draw a response; called in the planning thread."""
         with self._drawing:
+            self._timed = None
             self._draw(response)
+        if self._timer is not None:
+            self._timer.cancel()
+        # timing takes half a second: not while a body is dragged
+        self._timer = threading.Timer(0.3, self._show_timed, (response,))
+        self._timer.daemon = True
+        self._timer.start()
+
+    def _show_timed(self, response: Response) -> None:
+        """Time the path of a response and show its plots, unless a newer one came meanwhile."""
+        shown = timed(response)
+        with self._drawing:
+            if self.live.response is not response:
+                return
+            with self.server.atomic():
+                self._plots.show(shown)
+                if shown is not None:
+                    self._timed = shown
+                    named = {_node_of(body): body for body in shown.drawing.bodies("hand")}
+                    self._moving = [
+                        (self._nodes[name][1], body.poses)
+                        for name, body in named.items()
+                        if len(body.poses) > 1 and name in self._nodes
+                    ]
+                self._pose_robot()
 
     def _show_wait(self) -> None:
         """Say that a response takes its time; called in a thread of its own."""
@@ -305,16 +427,23 @@ class StudioPage:
                 if name in colours
             )
             for name in self._nodes.keys() - named.keys():
+                self._edges.pop(name, None)  # removed together with the body
                 self._nodes.pop(name)[1].remove()
             for name, body in named.items():
                 last, node = self._nodes.get(name, (None, None))
                 # nodes of the scene are kept, although the meshes of clouds are new every time
                 if last is None or (last.mesh is not body.mesh and body.layer != "scene"):
-                    corners, _, faces = body.mesh.shared
+                    corners, faces = thinner(body)
                     opacity = body.opacity if body.opacity < 1.0 else None
                     node = scene.add_mesh_simple(
-                        name, corners, faces, color=body.colour, opacity=opacity
+                        name,
+                        corners,
+                        faces,
+                        color=body.colour,
+                        opacity=opacity,
+                        cast_shadow=opacity is None,
                     )
+                    self._draw_edges(name, body)
                     _place(node, body.poses[0])
                     if (mover := _mover_of(body)) in self._chosen.options:
                         self._guard.clicked.add(name)
@@ -343,10 +472,41 @@ class StudioPage:
             self._mark_chosen()
             self._pose_robot()
 
+    def _draw_edges(self, name: str, body: Body) -> None:
+        """Draw the outline of a body that can be chosen, as a child of its node."""
+        if _mover_of(body) in self._chosen.options and body.layer != "robot":
+            edges = outline(body.mesh)
+            if 0 < len(edges) <= MOST_EDGES:
+                self._edges[name] = self.server.scene.add_line_segments(
+                    f"{name}/edges", edges, EDGE_COLOUR, thickness=1.0, thickness_units="screen"
+                )
+
     def _pose_robot(self) -> None:
-        """Place all moving bodies at the state of the slider."""
+        """Place all moving bodies at the state of the slider, and hide ghosts that coincide."""
+        share, at = self._slider.value, {}
         for node, poses in self._moving:
-            _place(node, poses[round(self._slider.value * (len(poses) - 1))])
+            T = poses[round(share * (len(poses) - 1))]
+            _place(node, T)
+            at[node.name] = T
+        for body, node in self._nodes.values():
+            if body.layer.split("/")[0] in GHOST_LAYERS:
+                robot = at.get(f"/robot/{body.name.replace('/', '|')}")
+                apart = robot is None or not np.allclose(robot, body.poses[0], atol=1e-3)
+                if node.visible != apart:
+                    node.visible = apart
+        shown, count = self._timed, len(self._moving[0][1]) if self._moving else 1
+        text = f"state {round(share * (count - 1))} of {count - 1}"
+        if shown is not None:
+            text = shown.label(round(share * (len(shown.drawing.labels) - 1)))
+        self._where.content = f'<div style="margin:0 1em 0.5em">{text}</div>'
+
+
+def _pose_of(node: Any) -> np.ndarray:
+    """Pose (4, 4) of a node [m]."""
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_quat(node.wxyz, scalar_first=True).as_matrix()
+    T[:3, 3] = node.position
+    return T
 
 
 def _node_of(body: Body) -> str:

@@ -1,5 +1,6 @@
 """A web page has the whole motion and its plots, loads nothing, and a browser displays it."""
 
+import io
 import json
 import shutil
 import subprocess
@@ -12,7 +13,11 @@ import pytest
 from browser import BROWSER, Tab, until
 from PIL import Image
 
+from cvqmpt_lab.features.motion.motion_check import certified_motion
+from cvqmpt_lab.features.motion.timing import TimingSettings
 from cvqmpt_lab.features.pictures import web_page
+from cvqmpt_lab.features.pictures.picture import still_image
+from cvqmpt_lab.features.pictures.raster import Viewpoint
 from cvqmpt_lab.features.pictures.visuals import drawn_pieces
 from cvqmpt_lab.features.pictures.web_page import save_page
 from cvqmpt_lab.features.tasks.world import World
@@ -87,6 +92,128 @@ def test_legends_name_every_curve_with_its_value(solution, tmp_path):
         solution.problem.robot.joint_names, solution.path.states[0], strict=True
     ):
         assert f"{name} {float(f'{value:.3g}'):g}" in joints
+
+
+def opened(path, folder, size=(1400, 1000)):
+    """Return a tab that shows a page, as soon as it is drawn."""
+    tab = Tab(f"file://{path}", folder, size=size)
+    until(lambda: tab.value("document.readyState === 'complete'") and tab.text())
+    return tab
+
+
+def pixels_of(tab):
+    """Return the pixels (height, width, 3) of a screenshot."""
+    return np.array(Image.open(io.BytesIO(tab.screenshot())).convert("RGB"), dtype=int)
+
+
+def press(tab, key):
+    for kind in ("keyDown", "keyUp"):
+        text = {"text": key} if len(key) == 1 and kind == "keyDown" else {}
+        tab.call("Input.dispatchKeyEvent", type=kind, key=key, **text)
+
+
+@pytest.mark.skipif(BROWSER is None, reason="no Chromium is installed")
+def test_a_page_has_the_light_shadow_ground_and_outlines_of_the_still_picture(solution, tmp_path):
+    save_page(solution, tmp_path / "plan.html")
+    with opened(tmp_path / "plan.html", tmp_path / "user", (1100, 700)) as tab:
+        groups = set(tab.value("data.bodies.map((body) => body.group)")) - {"scene", "robot"}
+        shown = tab.value(
+            f"(() => {{ {json.dumps(sorted(groups))}.forEach((group) => hidden.add(group));"
+            "views.reset(); draw(); const { width, height } = canvas;"
+            "const pixels = new Uint8Array(4 * width * height);"
+            "gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, pixels);"
+            "return { pixels: [...pixels], width, height, camera }; })()"
+        )
+    width, height, camera = shown["width"], shown["height"], shown["camera"]
+    page = np.array(shown["pixels"]).reshape(height, width, 4)[::-1, :, :3]
+    turn, rise = camera["azimuth"], camera["elevation"]
+    back = np.array([np.cos(rise) * np.cos(turn), np.cos(rise) * np.sin(turn), np.sin(rise)])
+    eye = camera["target"] + camera["distance"] * back
+    view = Viewpoint(tuple(eye), tuple(camera["target"]), camera["angle"])
+    problem = solution.problem
+    still = still_image(problem, problem.start, (width, height), view).astype(int)
+    apart = np.abs(page - still).max(axis=2)
+    # walls in front of the robot are transparent on the page alone
+    assert np.median(apart) <= 3 and (apart < 30).mean() > 0.85
+
+
+@pytest.mark.skipif(BROWSER is None, reason="no Chromium is installed")
+def test_mouse_keys_and_buttons_turn_zoom_step_and_play(solution, tmp_path):
+    save_page(solution, tmp_path / "plan.html")
+    with opened(tmp_path / "plan.html", tmp_path / "user", (1000, 700)) as tab:
+        middle = tab.value(
+            "(() => { const r = canvas.getBoundingClientRect();"
+            "return [r.x + r.width / 2, r.y + r.height / 2]; })()"
+        )
+
+        def wheel():
+            x, y = middle
+            tab.call("Input.dispatchMouseEvent", type="mouseWheel", x=x, y=y, deltaX=0, deltaY=120)
+
+        before = tab.value("camera.distance")
+        wheel()
+        until(lambda: tab.value("byId('hint').className") == "on")
+        assert tab.value("camera.distance") == before, "without the focus the page scrolls"
+        turn = tab.value("camera.azimuth")
+        tab.drag(middle, (middle[0] + 60, middle[1] + 10))
+        until(lambda: tab.value("camera.azimuth") == pytest.approx(turn - 0.48))
+        wheel()
+        until(lambda: tab.value("camera.distance") > 1.05 * before)
+        press(tab, "r")
+        until(lambda: tab.value("camera.azimuth") == turn)
+        press(tab, "ArrowRight")
+        assert tab.value("state()") == 1
+        press(tab, "End")
+        assert tab.value("state()") == len(solution.path.states) - 1
+        press(tab, " ")
+        until(lambda: 0 < tab.value("state()") < len(solution.path.states) - 1)
+        press(tab, " ")
+        assert tab.value("playing") is None
+        tab.click("top", lambda: tab.value("camera.elevation") == 1.55)
+        tab.click("full screen", lambda: tab.value("document.fullscreenElement !== null"))
+        press(tab, "Enter")
+        assert not tab.said
+
+
+@pytest.mark.skipif(BROWSER is None, reason="no Chromium is installed")
+def test_a_page_fills_the_window_fits_a_phone_and_is_dark_where_the_system_is(solution, tmp_path):
+    save_page(solution, tmp_path / "plan.html")
+    edges = "['head', 'world', 'bar', 'legend', 'help'].map((name) => (byId(name) ?? "
+    edges += "document.querySelector('header')).getBoundingClientRect().bottom)"
+    with opened(tmp_path / "plan.html", tmp_path / "user", (1300, 900)) as tab:
+        assert max(tab.value(edges)) <= 900, "the help is within view"
+        width, height = tab.value("[canvas.clientWidth, canvas.clientHeight]")
+        assert width > 0.6 * 1300 and height > 0.7 * 900
+        bright = pixels_of(tab)
+        media = [{"name": "prefers-color-scheme", "value": "dark"}]
+        tab.call("Emulation.setEmulatedMedia", features=media)
+        dark = pixels_of(tab)
+        assert bright[5, 5].min() > 240 and dark[5, 5].max() < 40
+        tab.resize(390, 800)
+        until(lambda: tab.value("canvas.clientWidth") < 390)
+        assert tab.value("document.documentElement.scrollWidth") <= 390
+        assert not tab.said
+
+
+@pytest.mark.skipif(NODE is None, reason="no Node.js is installed")
+def test_axes_have_round_numbers(solution, tmp_path):
+    save_page(solution, tmp_path / "plan.html")
+    script = Path(__file__).with_name("run_page.js")
+    command = [NODE, script, tmp_path / "plan.html", "0", "ticks(-0.116, 0.116, 3)"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
+    assert json.loads(done.stdout.splitlines()[-1]) == [-0.1, 0.0, 0.1]
+
+
+def test_a_timed_motion_is_shown_over_its_seconds(solution, tmp_path):
+    motion = certified_motion(solution.problem, solution.path, TimingSettings(0.3))
+    save_page(solution, tmp_path / "a.html", motion=motion, name="my-suite 7")
+    save_page(solution, tmp_path / "b.html", motion=motion, name="my-suite 7")
+    assert (tmp_path / "a.html").read_bytes() == (tmp_path / "b.html").read_bytes()
+    data = data_of(tmp_path / "a.html")
+    assert data["title"].startswith("my-suite 7: panda, solved")
+    assert data["times"][-1] == pytest.approx(motion.duration, abs=1e-3) == data["seconds"]
+    assert data["labels"][0] == f"0.0 of {motion.duration:.1f} s"
+    assert len(data["times"]) == data["states"] == len(data["plots"][0]["curves"][0]["values"])
 
 
 @pytest.mark.skipif(BROWSER is None, reason="no Chromium is installed")
