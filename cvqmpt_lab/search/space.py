@@ -1,6 +1,7 @@
 """The planning space of all planners: projection and state checks, which it counts."""
 
 import ctypes
+from itertools import pairwise
 from typing import Annotated, Any, NamedTuple, Self
 
 import numpy as np
@@ -321,18 +322,19 @@ class ConstrainedSpace:
             The path and -1, or None and the index of a motion that fails.
         """
         proven = np.zeros(len(states) - 1, dtype=bool) if proven is None else proven
-        waiting = np.flatnonzero(~proven)
-        for run in np.split(waiting, np.flatnonzero(np.diff(waiting) > 1) + 1):
-            if not len(run):
-                continue
-            first = run[0]
-            path, bad, passed = self._refined(states[first : run[-1] + 2], check=True)
+        known = proven.copy()
+        ends = [0, *(np.flatnonzero(np.diff(known)) + 1).tolist(), len(known)]
+        refined = dict[int, np.ndarray]()  # states of each run of known or of other motions
+        # first those that may fail
+        for first, last in sorted(pairwise(ends), key=lambda run: known[slice(*run)].any()):
+            check = not known[first:last].any()
+            run, bad, passed = self._refined(states[first : last + 1], check)
             proven[first : first + passed] = True
             if bad >= 0:
-                return None, int(first + bad)
-            if len(run) == len(proven):
-                return path, -1
-        return self._refined(states, check=False)[0], -1
+                return None, first + bad
+            refined[first] = run.states
+        parts = [refined[first][min(first, 1) :] for first in ends[:-1]]
+        return JointPath(np.concatenate(parts)), -1
 
     def _refined(self, states: np.ndarray, check: bool) -> tuple[JointPath, int, int]:
         """Call `motion.refine_and_check`; return the path and its other results."""
