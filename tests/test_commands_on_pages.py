@@ -34,6 +34,8 @@ NOT_RUN = {
     r"\bcvqmpt studio": "serves until Ctrl-C; tests/features/studio start it",
     r"claims .*--write": "writes into the checkout; tests/paper_tables write a copy",
     r"docs/judge/|run.mcap": "tests/test_documents.py compares what they print",
+    r"\bcvqmpt audit ": "needs data sets; tests/cli/test_audit_command.py makes some",
+    r"--proof |cvqmpt_check": "tests/features/proof write proofs and check them",
     r"\bcompletion ": "needs the extra `completion`, which is not installed",
     r"check-tables( --all)?$": "repeats planners for minutes, as `make test` does",
 }
@@ -74,6 +76,7 @@ BEFORE = {
     r"--cloud clean\.pcd": "cvqmpt scan depth.png --intrinsics lens.yaml --extrinsics pose.json "
     "--out clean.pcd",
     r"--robot robot\.json": "cvqmpt robot panda --tool 0,0,0.1 --out robot.json",
+    r"certify motion\.csv": "cvqmpt plan place-task --problem 7 --trajectory motion.csv",
     r"path\.csv place-task": "cvqmpt plan place-task --problem 7 --save path.csv",
     r"motion\.json place-task": "cvqmpt plan place-task --problem 7 --trajectory motion.json",
     r"path\.json mine\.json": "cvqmpt plan mine.json --trajectory path.json",

@@ -265,7 +265,7 @@ def test_g_is_that_of_what_is_sampled(problem):
 def test_every_way_to_fail_has_its_reason():
     """Every planner status and every certificate fault has a reason of failure."""
     of_trajectories = ["velocity", "acceleration", "jerk", "effort", "current", "torque_rate"]
-    of_trajectories += ["frame_speed", "frame_turning_speed"]
+    of_trajectories += ["frame_speed", "frame_turning_speed", "velocity_jump"]
     for status in set(PlanStatus) - {PlanStatus.SOLVED}:
         assert FailReason(status)
     for kind in set(FaultKind) - {FaultKind(name) for name in of_trajectories}:

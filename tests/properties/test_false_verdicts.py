@@ -61,7 +61,8 @@ def test_half_turns(trials, tmp_path):
         middle, row = x[0], int(np.abs(x[0]).argmax())
         bounds = [[None, None] for _ in range(6)]
         below, above = rng.uniform(0.05, 1.0, 2)
-        bounds[3 + row] = [float(middle[row] - below), float(middle[row] + above)]
+        # an angle beyond pi would bound nothing, and is refused
+        bounds[3 + row] = np.clip([middle[row] - below, middle[row] + above], -3.2, 3.2).tolist()
         region = {"T0_w": np.eye(4).tolist(), "Tw_e": np.eye(4).tolist(), "Bw": bounds}
         problem = problem_of(tmp_path, pendulum(), ends, ("part_2",), constraint=[region])
         if not certify(problem, JointPath(ends)).valid:

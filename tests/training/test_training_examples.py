@@ -285,7 +285,7 @@ def test_a_dataset_whose_last_shards_are_missing_is_refused_with_the_command_tha
 
 def test_shards_that_lack_an_array_or_hold_objects_and_missing_splits_are_named(tmp_path):
     arrays = shard(np.random.default_rng(5), (7, 8), 3)
-    bad = {"pickle": arrays | {"family": np.array([{}], dtype=object)}}
+    bad = {"objects": arrays | {"family": np.array([{}], dtype=object)}}
     for name in ("waypoints", "trivial"):
         bad[name] = {key: array for key, array in arrays.items() if key != name}
     bad["has 7 joints"] = arrays | {"waypoints": arrays["waypoints"][:, :6]}
