@@ -120,17 +120,22 @@ def standing_arm(number, folder):
     source = {"urdf": str(folder / f"{name}.urdf"), "end_effector": "tool", "srdf": None}
     robot = robot_from_source(source)
     arm, checker = Arm(source, folder, robot.joint_names), CollisionChecker(robot, NOTHING)
-    links = {body.name for body in arm.bodies}
-    always = tuple(  # of pairs of pieces, LINK_NUMBER, the pairs of their links
-        tuple(name if name in links else name.rpartition("_")[0] for name in pair[:2])
-        for pair in robot.left_out_pairs
-        if pair.reason.startswith(OVERLAP)
-    )
+    always = overlapping_links(robot, arm)
     states = robot.random_configurations(rng, 50)
     for pair in always:
         if ROOM in pair:  # standing bodies are left out only where no state is free of them
             assert overlaps_in(arm, pair, states) > 0.9, (number, pair)
     return Given(source, robot, checker, arm, always, set(), standing=frozenset([ROOM]))
+
+
+def overlapping_links(robot, arm):
+    """Return the pairs of links that are left out because they, or pieces of them, overlap."""
+    links = {body.name for body in arm.bodies}
+    return tuple(  # of pairs of pieces, LINK_NUMBER, the pairs of their links
+        tuple(name if name in links else name.rpartition("_")[0] for name in pair[:2])
+        for pair in robot.left_out_pairs
+        if pair.reason.startswith(OVERLAP)
+    )
 
 
 def overlaps_in(arm, pair, states):
@@ -166,7 +171,7 @@ def given_arm(name, folder, kind=0):
     """Return an arm; kind: way in which two hands hold an object."""
     source, robot, arm = read_arm(name, folder)
     out = [(pair.first, pair.second, pair.reason) for pair in robot.left_out_pairs]
-    always = tuple((first, second) for first, second, why in out if why.startswith(OVERLAP))
+    always = overlapping_links(robot, arm)
     unseen = {frozenset((first, second)) for first, second, _ in out}
     held, chain = both_hold(robot, kind) if len(robot.end_effectors) > 1 else ((), ())
     checker = CollisionChecker(robot, NOTHING, really_held(robot, held, chain))
