@@ -60,7 +60,7 @@ def test_an_error_in_one_thread_ends_all(error):
         def ended(self):
             raise error
 
-    waits = Waits()
+    waits, before = Waits(), threading.active_count()
     with pytest.raises(error):
         first_of([waits, Breaks()])
-    assert waits.stopped.is_set() and waits.has_ended and threading.active_count() == 1
+    assert waits.stopped.is_set() and waits.has_ended and threading.active_count() == before
