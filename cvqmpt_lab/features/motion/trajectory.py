@@ -35,8 +35,8 @@ from cvqmpt_lab.base.errors import (
     shown,
     unique,
 )
-from cvqmpt_lab.base.files import csv_table, finite, json_value, write_text, yaml_value
-from cvqmpt_lab.base.readers import kind_of, read_arrays, read_by_suffix
+from cvqmpt_lab.base.files import csv_table, finite, write_text
+from cvqmpt_lab.base.readers import kind_of, plain_readers, read_arrays, read_by_suffix
 from cvqmpt_lab.base.values import numbers
 from cvqmpt_lab.features.motion.bags import is_bag, message_of_bag
 from cvqmpt_lab.features.motion.ros_messages import joint_trajectory, nanoseconds
@@ -253,13 +253,7 @@ def read_motion(path: Path, topic: str | None = None) -> Motion:
         return _checked(_from_value(message_of_bag(path, topic)), path)
     if topic is not None:
         raise InvalidInputError(f"topic {topic!r} belongs to a recording; {path} is none")
-    readers = {
-        ".csv": _from_csv,
-        ".json": lambda data: _from_value(json_value(data.decode("utf-8-sig"), "it")),
-        ".yaml": lambda data: _from_value(yaml_value(data.decode())),
-        ".npz": _from_arrays,
-    }
-    readers[".yml"] = readers[".yaml"]
+    readers = {".csv": _from_csv, **plain_readers(_from_value), ".npz": _from_arrays}
     return _checked(read_by_suffix(readers, path, "motion"), path)
 
 
