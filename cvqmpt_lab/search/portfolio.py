@@ -8,10 +8,12 @@
        towards draws around them;
     4. the roadmap is searched again, with a larger limit of work;
     5. the trees grow further, with uniform draws and without a limit of an extension, in turns with
-       trees that walk from rarely chosen cells (`cell_trees`). Cells find paths through mazes in a
-       plane, and get half of the work where the constraint leaves one or two directions to the
-       hand. Elsewhere, as in a cage, they seldom help: the trees come first, and cells get a
-       quarter.
+       trees that walk from rarely chosen cells (`cell_trees`). Elsewhere than in mazes they seldom
+       help: the trees come first, and cells get a quarter of the work.
+
+Cells find paths through mazes in a plane. Where the constraint leaves the hand at most two
+directions and one rotation, step 3 is shorter, step 4 is left out, and cells come first in step 5
+and get five sixths of the work.
 
 Each turn ends by its work, not by the clock, so the same seed leads to the same path. Numbers were
 chosen on tuning problems, see docs/performance.md.
@@ -69,12 +71,16 @@ class Portfolio(BiRRT):
     straight: int = 3  # number of goals to which the direct motion is tried first
     first: int = 2  # iterations of the trees before the roadmap is searched
     turns: tuple[float, float] = (1_500, 4_000)  # work of the roadmap's two turns
-    between: float = 6_000  # work of the trees between them
     # total work before the trees draw uniformly again, and work of each turn of the cells
     alone: float = 20_000
-    # work of the trees' turns over work of the cells' turns: where the constraint leaves
-    # one or two directions to the hand, and elsewhere
-    ratios: tuple[float, float] = (1.0, 3.0)
+    # two numbers: where the constraint leaves the hand at most two directions and one rotation, and
+    # elsewhere
+    between: tuple[float, float] = (
+        2_500,
+        6_000,
+    )  # work of the trees after the roadmap's first turn
+    # work of the trees' later turns over work of the cells' turns
+    ratios: tuple[float, float] = (0.2, 3.0)
     late_reach: float = np.inf  # longest extension of the trees after `alone` [rad]
 
     def search(self, query: Query, distribution: SamplingDistribution) -> PlanResult:
@@ -108,6 +114,9 @@ class _Run:
         self.trees = GrowingTrees(method, query, distribution)
         self.fallback = ""  # why the roadmap found no path
         self._others = 0  # number of nodes of roadmap and cells
+        axes = free_rows(self._space)[:, 1]
+        directions, rotations = np.count_nonzero(axes < 3), np.count_nonzero(axes >= 3)
+        self._flat = 1 <= directions <= 2 and rotations <= 1  # as a pen in a maze
 
     @property
     def vertices(self) -> int:
@@ -125,13 +134,14 @@ class _Run:
             self.fallback = f"birrt: {len(method.roadmap.nodes)} nodes are no roadmap"
         else:
             yield from self._roadmap_turns(method.roadmap)
-        yield trees, self.trees.grow(self._query.deadline, began + method.alone - self._space.work)
+        if not self._flat:
+            left = began + method.alone - self._space.work
+            yield trees, self.trees.grow(self._query.deadline, left)
         # draws around the free nodes of a roadmap without a path keep the trees near these nodes
         grown, late = self.trees.trees, replace(method, reach=method.late_reach)
         self.trees = GrowingTrees(late, self._query, self._uniform)
         self.trees.trees = grown
-        directions = np.count_nonzero(free_rows(self._space)[:, 1] < 3)
-        ratio = method.ratios[0] if 1 <= directions <= 2 else method.ratios[1]
+        ratio = method.ratios[0 if self._flat else 1]
         if ratio > 1.0:  # trees find most of the paths
             yield trees, self.trees.grow(self._query.deadline, ratio * method.alone)
         cells, others = CellTrees(self._query), self._others
@@ -152,7 +162,7 @@ class _Run:
         return None
 
     def _roadmap_turns(self, roadmap: Roadmap) -> Iterator[Turn]:
-        """Yield the roadmap's two turns, and the trees' turn between them."""
+        """Yield the roadmap's turns, and the trees' turn after the first one."""
         method, space, trees = self._method, self._space, self._uniform.name
         start, goals, deadline = self._query.start, self._query.goals, self._query.deadline
         near = roadmap.near(start, space.robot)
@@ -163,7 +173,7 @@ class _Run:
             known = RoadmapQuery(uncounted, near, start, goals, method.settings, costs)
             known.next_path(Deadline(deadline.budget, uncounted))
             query.avoid(known)
-        for work in method.turns:
+        for work in method.turns[:1] if self._flat else method.turns:
             path = query.next_path(deadline, work)
             free = query.free_nodes
             self._others = len(free)
@@ -176,7 +186,8 @@ class _Run:
                     nodes, near.covariance, self._query.uniform, 0.3, trees
                 )
                 self.trees.draw_from(around, nodes)
-                yield trees, self.trees.grow(self._query.deadline, method.between)
+                between = method.between[0 if self._flat else 1]
+                yield trees, self.trees.grow(self._query.deadline, between)
 
 
 def spread_nodes(problem: PlanningProblem, model: str, draw: int | None = None) -> Roadmap:

@@ -2,19 +2,23 @@
 
 from dataclasses import replace
 from functools import partial
+from itertools import islice
 
 import numpy as np
 import pytest
 from refusals import refused
 
+from cvqmpt_lab.benchmarks.passages import maze_problem
 from cvqmpt_lab.benchmarks.place_task import place_problem
 from cvqmpt_lab.benchmarks.results.store import states_hash
 from cvqmpt_lab.certificate.certificate import certify
 from cvqmpt_lab.constraints.goals import goals_in_any_posture
-from cvqmpt_lab.planning.pipeline import solve
+from cvqmpt_lab.planning.pipeline import solve, with_drawn_goals
 from cvqmpt_lab.planning.planners import planner_named
+from cvqmpt_lab.search import portfolio
 from cvqmpt_lab.search.anytime import InformedSamples, improve, informed_roadmap_path
 from cvqmpt_lab.search.birrt import GrowingTrees
+from cvqmpt_lab.search.cell_trees import CellTrees
 from cvqmpt_lab.search.edge_costs import CLEARANCE_MAX_M, CLEARANCE_MIN_M, reading, readings
 from cvqmpt_lab.search.method import Method
 from cvqmpt_lab.search.motion import motion_free
@@ -259,10 +263,32 @@ def test_a_path_comes_from_whoever_finds_one_first(tuning):
 
 
 def test_cells_take_turns_after_some_work(tuning):
-    cells = turns(tuning, first=1, turns=(1.0, 1.0), between=1.0, alone=1.0)
+    cells = turns(tuning, first=1, turns=(1.0, 1.0), between=(1.0, 1.0), alone=1.0)
     assert cells.path is not None and cells.sampler in ("uniform", "cells")
-    only_trees = turns(tuning, first=1, turns=(1.0, 1.0), between=1.0, alone=1e9)
+    only_trees = turns(tuning, first=1, turns=(1.0, 1.0), between=(1.0, 1.0), alone=1e9)
     assert only_trees.sampler == "uniform" and only_trees.counters != cells.counters
+
+
+def test_in_a_maze_cells_come_early(tuning, monkeypatch):
+    """They get five sixths of the later work there, elsewhere a quarter."""
+    work = []
+    for growth in (GrowingTrees, CellTrees):
+        monkeypatch.setattr(growth, "grow", lambda _, deadline, most=0.0, **more: work.append(most))
+    monkeypatch.setattr(RoadmapQuery, "next_path", lambda *_: None)
+
+    def names(problem, count):
+        work.clear()
+        rng = np.random.default_rng(0)
+        query = Query.of(ConstrainedSpace.of(problem), problem.start, problem.goals, ENOUGH, rng)
+        method = planner_named("roadmap").stages(problem).search
+        found = portfolio._Run(method, query, query.uniform).turns()
+        return [name for name, _ in islice(found, count)]
+
+    searches = ["direct", "uniform", "roadmap", "uniform"]
+    assert names(with_drawn_goals(maze_problem(0.06, 3)), 6) == [*searches, "cells", "uniform"]
+    assert work == [0.0, 2_500, 20_000, 4_000]
+    assert names(tuning, 9) == [*searches, "roadmap", *["uniform"] * 2, "cells", "uniform"]
+    assert work[1] == 6_000 and work[3:] == [60_000, 20_000, 60_000]
 
 
 def test_after_the_roadmap_trees_draw_from_the_whole_space_without_a_limit(tuning, monkeypatch):
@@ -275,13 +301,15 @@ def test_after_the_roadmap_trees_draw_from_the_whole_space_without_a_limit(tunin
         return grow(trees, *limits, **more) if trees._method.reach == np.inf else None
 
     monkeypatch.setattr(GrowingTrees, "grow", recorded)
-    found = turns(tuning, first=1, between=1.0, turns=(100.0, 1.0), alone=1.0)
+    found = turns(tuning, first=1, between=(1.0, 1.0), turns=(100.0, 1.0), alone=1.0)
     assert found.sampler in ("uniform", "cells")
     assert (1.0, "uniform", GaussianMixture) in drawn
     assert drawn[-1] == (np.inf, "uniform", Uniform)
 
 
-@pytest.mark.parametrize("changes", [{}, {"turns": (50.0, 50.0), "between": 50.0, "alone": 100.0}])
+@pytest.mark.parametrize(
+    "changes", [{}, {"turns": (50.0, 50.0), "between": (50.0, 50.0), "alone": 100.0}]
+)
 def test_the_same_seed_leads_to_the_same_path_whatever_the_clock_says(tuning, changes):
     budgets = (Budget(iterations=20_000), Budget(seconds=1e4, iterations=20_000), Budget(1e4))
     first, *others = (turns(tuning, budget, seed=3, **changes) for budget in budgets)
