@@ -309,7 +309,7 @@ class ConstrainedSpace:
             )
 
     def checked_path(
-        self, states: np.ndarray, proven: np.ndarray | None = None
+        self, states: np.ndarray, proven: np.ndarray | None = None, middle: int | None = None
     ) -> tuple[JointPath | None, int]:
         """Refine a path (m, n) [rad or m] where straight motions leave the manifold, and check it.
 
@@ -317,23 +317,32 @@ class ConstrainedSpace:
             states: the path.
             proven: (m - 1,) bool, whether a motion to the next state passed this check before:
                 it is not checked again. Motions that pass are marked, also on a path that fails.
+            middle: motions before this one are checked from the path's first state on, the others
+                from its last state on; None: all from the first one on.
 
         Returns:
             The path and -1, or None and the index of a motion that fails.
         """
-        proven = np.zeros(len(states) - 1, dtype=bool) if proven is None else proven
+        if proven is None:
+            proven, longest = np.zeros(len(states) - 1, dtype=bool), len(states)
+        else:
+            longest = PROVEN_TOGETHER
         known = proven.copy()
-        ends = [0, *(np.flatnonzero(np.diff(known)) + 1).tolist(), len(known)]
-        refined = dict[int, np.ndarray]()  # states of each run of known or of other motions
+        if not len(known):
+            return JointPath(states.copy()), -1
+        middle = len(known) if middle is None else middle
+        pieces = _pieces(known[:middle], longest)
+        for first, last in _pieces(known[middle:][::-1], longest):
+            pieces.append((len(known) - last, len(known) - first))
+        refined = dict[int, np.ndarray]()  # states of each piece
         # first those that may fail
-        for first, last in sorted(pairwise(ends), key=lambda run: known[slice(*run)].any()):
-            check = not known[first:last].any()
-            run, bad, passed = self._refined(states[first : last + 1], check)
+        for first, last in sorted(pieces, key=lambda piece: known[piece[0]]):
+            run, bad, passed = self._refined(states[first : last + 1], not known[first])
             proven[first : first + passed] = True
             if bad >= 0:
                 return None, first + bad
             refined[first] = run.states
-        parts = [refined[first][min(first, 1) :] for first in ends[:-1]]
+        parts = [refined[first][min(first, 1) :] for first in sorted(refined)]
         return JointPath(np.concatenate(parts)), -1
 
     def _refined(self, states: np.ndarray, check: bool) -> tuple[JointPath, int, int]:
@@ -344,6 +353,21 @@ class ConstrainedSpace:
         written, bad, passed = motion.refine_and_check(self.arrays, states, out, segment, check)
         self.reraise()
         return JointPath(out[:written].copy()), int(bad), int(passed)
+
+
+# motions of a path that are checked in one call: fewer are checked in vain behind one that fails,
+# more share a proof
+PROVEN_TOGETHER = 8
+
+
+def _pieces(known: np.ndarray, longest: int) -> list[tuple[int, int]]:
+    """Cut a row of motions (k,) bool into pieces of known ones, and of at most `longest` others."""
+    pieces = []
+    changes = (np.flatnonzero(np.diff(known)) + 1).tolist()
+    for first, last in pairwise([0, *changes, len(known)] if len(known) else []):
+        size = last - first if known[first] else longest
+        pieces += [(k, min(k + size, last)) for k in range(first, last, size)]
+    return pieces
 
 
 def direct_motion(
