@@ -29,6 +29,8 @@ only if no goals are given.
 
 from __future__ import annotations  # so `help` shows forms by their names
 
+import hashlib
+import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -36,7 +38,7 @@ from typing import Annotated, Any, ClassVar, Protocol, Self
 
 import numpy as np
 
-from cvqmpt_lab.base.codec import Document, OneOrMore, to_plain
+from cvqmpt_lab.base.codec import Document, OneOrMore, digest_of, to_plain
 from cvqmpt_lab.base.errors import InvalidProblemError, mapping, unique
 from cvqmpt_lab.base.modules import provider
 from cvqmpt_lab.base.values import (
@@ -409,8 +411,25 @@ class PlanningProblem(Document):
                 yield f"{name} does not hold attachment {item.name!r} and must not touch it: {how}"
 
     def random_stream(self, *keys: int) -> np.random.Generator:
-        """Return a generator seeded by keys, such as a seed, and by the start."""
-        return np.random.default_rng([*keys, *np.abs(self.start * 1e6).astype(np.uint64)])
+        """Return a generator seeded by keys, such as a seed, and by the content of the problem.
+
+        So two problems have different random numbers with the same seed. Name and given goals do
+        not count: goals are often drawn by such a generator and then given.
+        """
+        return np.random.default_rng([*keys, *self._content_words])
+
+    @cached_property
+    def _content_words(self) -> np.ndarray:
+        """SHA-256 digest (8,) of start, scene, constraint, loads and regions."""
+        plain = [
+            self.scene.digest.hex(),
+            self.start.tolist(),
+            [getattr(member, "name", "") or MemberForm().write(member) for member in self.constraint],
+            [digest_of(item).hex() for item in self.attachments],
+            [region and to_plain(region) for region in (self.goal_region, self.start_region)],
+            self.clearance,
+        ]
+        return np.frombuffer(hashlib.sha256(json.dumps(plain).encode()).digest(), "<u4")
 
     def collision_checker(self, margin: float = 0.0) -> Checker:
         """Return the exact checker of this problem; distances below margin [m] are collisions."""

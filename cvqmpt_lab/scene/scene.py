@@ -195,13 +195,14 @@ class Scene(Checked):
         )
 
     def __eq__(self, other: object) -> bool:
-        return self is other or (isinstance(other, Scene) and self._digest == other._digest)
+        return self is other or (isinstance(other, Scene) and self.digest == other.digest)
 
     def __hash__(self) -> int:
-        return int.from_bytes(self._digest[:8])
+        return int.from_bytes(self.digest[:8])
 
     @cached_property
-    def _digest(self) -> bytes:
+    def digest(self) -> bytes:
+        """SHA-256 digest (32 bytes) of the content."""
         return digest_of(self)  # made once: problems are compared by their scenes many times
 
 

@@ -41,13 +41,14 @@ from cvqmpt_lab.search.motion import (
     NEWTON_ITERATIONS,
     PROJECTIONS,
 )
-from cvqmpt_lab.search.planner_interface import Query, SamplingDistribution
+from cvqmpt_lab.search.planner_interface import DrawsOfTrees, Query, SamplingDistribution
 from cvqmpt_lab.search.result import Budget, JointPath, PlanResult, PlanStatus
 from cvqmpt_lab.search.space import ConstrainedSpace
 
 ou.setLogLevel(ou.LogLevel.LOG_NONE)
 
 OMPL_STEP_RAD = 0.05  # step along the manifold, delta in OMPL
+DRAWS_AT_ONCE = 16  # of a sampling distribution
 
 
 class _Manifold(ob.Constraint):
@@ -130,17 +131,33 @@ class _Draws:
         self.due = False  # whether the next projection projects a sample
         self.free = free  # whether samples in collision are drawn again
         self.count = self.replaced = 0  # number of samples, and of replaced ones
-        self._distribution, self._query = distribution, query
-        self._drawn: list[np.ndarray] = []
+        self._query = query
+        # of the trees from the start and from the goal
+        self._distributions = [distribution]
+        if isinstance(distribution, DrawsOfTrees):
+            self._distributions = [distribution.of_tree(tree) for tree in (0, 1)]
+        self._drawn: list[list[np.ndarray]] = [[] for _ in self._distributions]
+        self._tree = -1
+
+    def begin(self) -> None:
+        """Note that a search begins: its first draw is for the tree from the start."""
+        self._tree = -1
+
+    def iterate(self) -> None:
+        """Note that an iteration begins: RRTConnect extends its two trees in turn."""
+        self.due = True
+        self._tree += 1
 
     def next(self) -> np.ndarray:
         """Return the next sample (n,) [rad or m]."""
         self.due = False
         self.count += 1
         uniform, rng = self._query.uniform, self._query.rng
-        if not self._drawn:
-            self._drawn = list(self._distribution.sample(rng, 64)[::-1])
-        q = self._drawn.pop()
+        tree = self._tree % len(self._distributions)
+        drawn = self._drawn[tree]
+        if not drawn:
+            drawn.extend(self._distributions[tree].sample(rng, DRAWS_AT_ONCE)[::-1])
+        q = drawn.pop()
         inside = np.clip(q, uniform.lower, uniform.upper)
         # false for a sample that is not a number
         near = np.abs(q - inside) <= uniform.upper - uniform.lower
@@ -296,12 +313,14 @@ class _Run:
 
         def spent() -> bool:
             if draws is not None:
-                draws.due = True
+                draws.iterate()
             late = deadline.spent() is not None
             counters[ITERATIONS] += not late
             return late
 
         while True:
+            if draws is not None:
+                draws.begin()
             self._planner.solve(ob.PlannerTerminationCondition(spent))
             data = ob.PlannerData(self._information)
             self._planner.getPlannerData(data)

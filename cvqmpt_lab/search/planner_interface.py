@@ -8,7 +8,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any, Protocol, TypeAlias
+from typing import Any, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 
@@ -36,6 +36,14 @@ class SamplingDistribution(Protocol):
 
     def sample(self, rng: np.random.Generator, count: int) -> np.ndarray:
         """Draw configurations (count, n) [rad or m]."""
+
+
+@runtime_checkable
+class DrawsOfTrees(Protocol):
+    """A distribution with draws of its own for each of two trees."""
+
+    def of_tree(self, tree: int) -> SamplingDistribution:
+        """Return the distribution of the tree from the start (0) or from the goal (1)."""
 
 
 @dataclass(frozen=True, eq=False)

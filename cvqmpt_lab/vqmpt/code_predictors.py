@@ -24,6 +24,8 @@ class CodeProposal(Proposal):
     goals: np.ndarray = field(default_factory=lambda: np.empty((0, 0)))  # (k, n) [rad or m]
     # (s, n) [rad or m] each, from the start to a goal: nodes of a sequence, or states of a path
     polylines: tuple[np.ndarray, ...] = ()
+    # (m, 3) [m], with which draws are compared; None: they are not
+    cloud: np.ndarray | None = None
 
 
 # predicts codes; the distribution is uniform until the codes are decoded

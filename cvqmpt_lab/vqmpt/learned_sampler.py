@@ -33,6 +33,7 @@ from cvqmpt_lab.search.planner_interface import (
 from cvqmpt_lab.search.result import Budget, JointPath, Timings
 from cvqmpt_lab.search.roadmap import Roadmap, linked_roadmap
 from cvqmpt_lab.sensing.observation import CameraSettings, Observer
+from cvqmpt_lab.vqmpt.chosen_draws import ClearestDraws, Clearness, HalvedMixture
 from cvqmpt_lab.vqmpt.code_nodes import code_noise, drawn_nodes
 from cvqmpt_lab.vqmpt.code_predictors import (
     CodePredictor,
@@ -106,16 +107,17 @@ class LearnedSampler:
         return nodes, widened(covariances, self.width)
 
     def mixture(
-        self, query: Query, goals: np.ndarray, means: np.ndarray, covariances: np.ndarray
-    ) -> GaussianMixture:
-        """Return the mixture of these Gaussians and of Gaussians around goals.
+        self, query: Query, found: CodeProposal, means: np.ndarray, covariances: np.ndarray
+    ) -> SamplingDistribution:
+        """Return the mixture of these Gaussians and of Gaussians around goals, with its choices.
 
         Args:
             query: the query, with its uniform distribution.
-            goals: (k, n) [rad or m].
-            means: (c, n) [rad or m].
+            found: the prediction, with its goals (k, n) [rad or m].
+            means: (c, n) [rad or m], in order of the sequence.
             covariances: (c, n, n), squared units.
         """
+        goals = found.goals
         goal_covariance = np.diag((self.goal_std * (self.robot.upper - self.robot.lower)) ** 2)
         goal_covariances = np.broadcast_to(goal_covariance, (len(goals), *goal_covariance.shape))
         mixed = GaussianMixture.equal(
@@ -126,7 +128,9 @@ class LearnedSampler:
             self.name,
         )
         assert isinstance(mixed, GaussianMixture)
-        return mixed
+        if self.choice.half == "own-half":
+            return chosen_of(HalvedMixture.of(mixed, len(means)), query, found.cloud)
+        return chosen_of(mixed, query, found.cloud)
 
     def propose(self, query: Query, observation: Observation) -> CodeProposal:
         """Return the sampling distribution of predicted codes, before any update: CVQ-MPT.
@@ -134,13 +138,18 @@ class LearnedSampler:
         If no code was predicted, it is uniform, and the proposal's `fallback` says so.
         """
         found = self.predict(query, observation)
+        if self.choice.chosen == "clearest-draw":
+            found = replace(found, cloud=observation.cloud)
         if len(found.codes) == 0 and not found.polylines:
-            return replace(found, fallback="no code sequence reached a goal")
+            uniform_draws = chosen_of(found.distribution, query, found.cloud)
+            fallback = "no code sequence reached a goal"
+            return replace(found, distribution=uniform_draws, fallback=fallback)
         if self.choice.gaussians == "along":
-            return replace(found, distribution=self.along(query, found.polylines))
+            along = self.along(query, found.polylines)
+            return replace(found, distribution=chosen_of(along, query, found.cloud))
         if self.choice.reading == "every-waypoint":
             found = self.every_waypoint(query, found)
-        mixture = self.mixture(query, found.goals, *self.gaussians(found.codes))
+        mixture = self.mixture(query, found, *self.gaussians(found.codes))
         return replace(found, distribution=mixture)
 
     def along(self, query: Query, polylines: tuple[np.ndarray, ...]) -> SamplingDistribution:
@@ -185,7 +194,7 @@ class LearnedSampler:
         gaussians = self.gaussians(proposal.codes, result.z)
         return replace(
             proposal,
-            distribution=self.mixture(query, proposal.goals, *gaussians),
+            distribution=self.mixture(query, proposal, *gaussians),
             timings=replace(proposal.timings, optimize=result.seconds),
             detail=f"{proposal.detail}, G {before:.3g} to {after:.3g}, {result.kept.sum()} kept",
         )
@@ -207,7 +216,7 @@ class LearnedSampler:
             # a mean that moves far no longer represents the part of the space that was predicted
             near[row] = query.space.project(q) and np.linalg.norm(q - mean) <= self.drift
             means[row] = q
-        mixture = self.mixture(query, proposal.goals, means[near], covariances[near])
+        mixture = self.mixture(query, proposal, means[near], covariances[near])
         return replace(
             proposal,
             distribution=mixture if near.any() else query.uniform,
@@ -215,6 +224,18 @@ class LearnedSampler:
             detail=f"{proposal.detail}, {near.sum()} on the manifold",
             fallback=proposal.fallback if near.any() else "no code lies near the manifold",
         )
+
+
+def chosen_of(
+    drawn: SamplingDistribution, query: Query, cloud: np.ndarray | None
+) -> SamplingDistribution:
+    """Return the clearest draws of a distribution in a cloud (m, 3) [m]; without one, itself."""
+    return drawn if cloud is None else ClearestDraws(drawn, Clearness(query.space, cloud))
+
+
+def clearest_uniform(query: Query, observation: Observation) -> Proposal:
+    """Propose the clearest of uniform draws."""
+    return Proposal(chosen_of(query.uniform, query, observation.cloud))
 
 
 @lru_cache(maxsize=4)
@@ -286,8 +307,11 @@ def learned(
     """
     search, limits = _host(choice)
     apart = choice.goals != "goals-together"
+    clearest = choice.chosen == "clearest-draw"
     if choice.predictor == "uniform":
-        return Stages(uniform, search, goals_apart=apart, goal_limits=limits)
+        observe = observer() if clearest else None
+        predict_uniform = clearest_uniform if clearest else uniform
+        return Stages(predict_uniform, search, observe, goals_apart=apart, goal_limits=limits)
     codebook = codebook_of(model, robot)
     encode = partial(codes_of, model_of(model), robot)
     predictors: dict[str, CodePredictor] = {
@@ -297,7 +321,8 @@ def learned(
         "oracle": partial(oracle_codes, encode),
     }
     predict = predictors.get(choice.predictor)
-    observe: Callable[[Scene], np.ndarray] | None = None  # ablations see no cloud, or another's
+    # ablations see no cloud, or another's
+    observe: Callable[[Scene], np.ndarray] | None = observer() if clearest else None
     rank: Callable[[Query, Observation], tuple[np.ndarray, Timings]] | None = None
     if predict is None:
         predictor = sequence_predictor(model, robot, choice.predictor == "published")
@@ -349,15 +374,16 @@ def _ranked(
 
 def _host(choice: SamplerChoice) -> tuple[Search, tuple[Budget, ...]]:
     """Return the search that draws the samples, and the limits for each goal."""
-    tries = tuple(Budget(cost=cost) for cost in (2.5, 5.0, 10.0, 20.0))
-    ranked = choice.goals == "goals-ranked"
+    # 20 goals use up 100 s in the second round, one goal in the sixth
+    tries = tuple(Budget(cost=2.5 * 2**k) for k in range(6))
+    again = choice.goals in ("goals-again", "goals-ranked")
     if choice.host == "in-birrt":
         search = BiRRT(reach=choice.reach, draws=choice.draws.removesuffix("-draws"))
-        return search, tries if ranked else ()
+        return search, tries if again else ()
     from cvqmpt_lab.search.ompl_planners import GOAL_LIMIT, published_search  # takes 0.3 s
 
     search_in_ompl = published_search(choice.reach, choice.draws == "free-draws")
-    if ranked:
+    if again:
         return search_in_ompl, tries
     return search_in_ompl, (GOAL_LIMIT,) if choice.goals == "goals-apart" else ()
 

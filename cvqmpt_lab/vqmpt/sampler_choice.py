@@ -22,13 +22,18 @@
     draws       projected-draws: samples are projected onto F(q) = 0 before trees extend (paper);
                 raw-draws: they are not; free-draws: projected, and drawn again if they collide
     reach       maximum length of extensions towards a sample [rad]; inf as printed
+    half        both-halves: draws for both trees from the whole sequence (paper);
+                own-half: for the tree from the start from its first half, for the one from the goal
+                from the second half and around the goal
+    chosen      any-draw (paper); clearest-draw: of eight draws the one whose body is least inside
+                the cloud
     host        in-birrt: Algorithm 3 as the paper prints it;
                 in-ompl: OMPL's RRTConnect, in which the paper ran its experiments
     goals       goals-together: sequences to the cheapest three goals, search for all goals;
                 goals-apart: one goal after the other, each with a query and an equal share of the
                 budget (paper: 20 goals, 2.5 s each);
-                goals-ranked: goals-apart, the cheapest predicted goal first; all goals get short
-                tries before any goal gets a long one
+                goals-again: goals-apart; all goals get short tries before any goal gets a long one
+                goals-ranked: goals-again, the cheapest predicted goal first
 
 The distribution is the mixture of the codes' Gaussians and of one around each predicted goal, all
 of equal weight (paper, eqn. sample_dist, and its code), plus a uniform share. Gaussians `along` a
@@ -53,7 +58,9 @@ CHOICES = {
     "sequences": ("likeliest", "all-beams"),
     "cloud": ("own-cloud", "other-cloud", "no-cloud"),
     "draws": ("projected-draws", "raw-draws", "free-draws"),
-    "goals": ("goals-together", "goals-apart", "goals-ranked"),
+    "goals": ("goals-together", "goals-apart", "goals-again", "goals-ranked"),
+    "half": ("both-halves", "own-half"),
+    "chosen": ("any-draw", "clearest-draw"),
     "host": ("in-birrt", "in-ompl"),
 }
 
@@ -72,6 +79,8 @@ class SamplerChoice:
     draws: str = "projected-draws"
     reach: float = math.inf  # [rad]
     goals: str = "goals-together"
+    half: str = "both-halves"
+    chosen: str = "any-draw"
     host: str = "in-birrt"
     std: float = 0.9  # [rad], tuned
 
@@ -109,6 +118,18 @@ class SamplerChoice:
             (
                 self.host == "in-ompl" and self.draws == "raw-draws",
                 "in-ompl: OMPL projects every draw; leave raw-draws out",
+            ),
+            (
+                self.host == "in-birrt" and (self.half, self.chosen) != ("both-halves", "any-draw"),
+                "own-half and clearest-draw are choices inside OMPL: add in-ompl",
+            ),
+            (
+                self.half == "own-half" and (along or self.predictor == "uniform"),
+                f"own-half divides codes: {codeless} has none",
+            ),
+            (
+                self.half == "own-half" and self.goals == "goals-together",
+                "own-half divides the sequence to one goal: add goals-apart, -again or -ranked",
             ),
             (
                 not 0.0 <= self.uniform_share <= 1.0,
