@@ -261,6 +261,18 @@ def run_notes(runs: SuiteRuns) -> Iterable[str]:
     fewer = [f"{name} {count}" for name, count in seeds.items() if count < most]
     if fewer:
         yield f"Planners with fewer than {most} seeds: {', '.join(fewer)}."
+    again = {name: repeated(rows) for name, rows in runs.groups.items()}
+    if texts := [f"{name} {count}" for name, count in again.items() if count]:
+        yield (
+            f"Rows with the same path as an earlier row of the planner: {', '.join(texts)}. They "
+            "are counted like the others, but are not independent of them."
+        )
+
+
+def repeated(rows: Rows) -> int:
+    """Return how many rows of a planner have the same path, bit for bit, as an earlier row."""
+    paths = [row.path_sha256 for row in rows if row.path_sha256]
+    return len(paths) - len(set(paths))
 
 
 # ---------------------------------------------------------------- from numbers to lines

@@ -197,11 +197,13 @@ class SamplerChoice:
 
 
 NAMED_SAMPLERS = {
-    "cvq-mpt": SamplerChoice.of("transformer+decoded+every-waypoint+goals-apart"),
-    "opt-cvq-mpt": SamplerChoice.of("transformer+decoded+every-waypoint+goals-apart+algorithm-2"),
+    "cvq-mpt": SamplerChoice.of("transformer+decoded+goals-apart"),
+    "opt-cvq-mpt": SamplerChoice.of("transformer+decoded+goals-apart+algorithm-2"),
     "cvq-published": SamplerChoice.of("published+decoded+goals-apart"),
-    "ompl-cvq": SamplerChoice.of("transformer+decoded+every-waypoint+goals-apart+in-ompl"),
-    "ompl-opt-cvq": SamplerChoice.of(
+    "ompl-cvq": SamplerChoice.of("transformer+decoded+goals-apart+in-ompl"),
+    "ompl-opt-cvq": SamplerChoice.of("transformer+decoded+goals-apart+algorithm-2+in-ompl"),
+    "ompl-cvq-dense": SamplerChoice.of("transformer+decoded+every-waypoint+goals-apart+in-ompl"),
+    "ompl-opt-cvq-dense": SamplerChoice.of(
         "transformer+decoded+every-waypoint+goals-apart+algorithm-2+in-ompl"
     ),
     "ompl-cvq-tuned": SamplerChoice.of(

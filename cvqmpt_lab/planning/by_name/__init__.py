@@ -139,8 +139,7 @@ SHIPPED = (
     Planner(
         "cvq-mpt",
         "the paper's method with this project's transformer: Algorithm 3 without a limit of "
-        "extensions, Gaussians of every waypoint's code, goals one after the other with equal "
-        "shares of the budget",
+        "extensions, goals one after the other with equal shares of the budget",
         _learned("named_sampler"),
         (2, 5),
         colour="#e58a2f",
@@ -174,6 +173,20 @@ SHIPPED = (
         (2,),
         "in-ompl",
         "#a8201a",
+    ),
+    Planner(
+        "ompl-cvq-dense",
+        "`ompl-cvq` with a code for every waypoint, 0.13 rad apart, of the predicted sequence",
+        _learned("named_sampler"),
+        group="in-ompl",
+        colour="#d8c27a",
+    ),
+    Planner(
+        "ompl-opt-cvq-dense",
+        "`ompl-opt-cvq` with the codes of `ompl-cvq-dense`",
+        _learned("named_sampler"),
+        group="in-ompl",
+        colour="#7a4a4a",
     ),
     Planner(
         "ompl-cvq-tuned",
