@@ -32,7 +32,7 @@ from cvqmpt_lab.base.files import (
 )
 from cvqmpt_lab.base.json_schema import json_schema
 from cvqmpt_lab.benchmarks.declarations import SUITES
-from cvqmpt_lab.benchmarks.item import ExecutedProblem, SensedProblem, UnsolvableProblem
+from cvqmpt_lab.benchmarks.item import ExecutedProblem, Phases, SensedProblem, UnsolvableProblem
 from cvqmpt_lab.benchmarks.motion_bench import BENCH_ARCHIVE, BENCH_HANDS, fetch
 from cvqmpt_lab.benchmarks.suite import suite_named
 from cvqmpt_lab.cli.options import (
@@ -179,11 +179,14 @@ def _export(args: argparse.Namespace) -> None:
                 "These goals are used as they are; delete them to sample new ones from goal_region."
             )
         text = json_text({**beside, **problem.to_dict()}) + "\n"
-        write_text(args.out / f"{args.what}-{index:03d}.json", text)
+        write_text(args.out / f"{args.what}-{index.zfill(3)}.json", text)
 
 
-def _problems(args: argparse.Namespace) -> Iterator[tuple[int, PlanningProblem | Task]]:
-    """Yield the suite's problems with their index; print and count unsolvable ones."""
+def _problems(args: argparse.Namespace) -> Iterator[tuple[str, PlanningProblem | Task]]:
+    """Yield the suite's problems with their index; print and count unsolvable ones.
+
+    The index of a phase is followed by its name.
+    """
     if os.sep in args.what:
         raise UnknownChoiceError("suite", args.what, SUITES)
     suite = suite_named(args.what)
@@ -194,10 +197,12 @@ def _problems(args: argparse.Namespace) -> Iterator[tuple[int, PlanningProblem |
         if isinstance(problem, UnsolvableProblem):
             unsolvable += 1
             print(f"{index}: unsolvable, {problem.reason}")
+        elif isinstance(problem, Phases):
+            yield from ((f"{index}-{phase}", one) for phase, one in problem.problems.items())
         else:
             if isinstance(problem, SensedProblem | ExecutedProblem):
                 problem = problem.problem
-            yield index, problem
+            yield str(index), problem
         if args.action == "export":
             bar(done, len(indices))
     print(f"{len(indices) - unsolvable} problems, {unsolvable} unsolvable")

@@ -40,7 +40,8 @@ class Experiment:
     budget: Budget
     backend: str = "compiled"
     model: str | None = None  # weights in place of the shipped ones, of planners that use any
-    # [rad] longest extension towards a draw, in place of every planner's own; inf: no limit
+    # [rad] longest extension towards a draw, in place of every planner's own; inf: no limit; None:
+    # that of the suite, which planners without trees do not have
     reach: float | None = None
     optimize: Budget | None = None  # spent on a better path once there is one
 
@@ -75,6 +76,11 @@ class Experiment:
         return [Run(self, problem, planner, seed) for seed, problem, planner in every]
 
     @property
+    def suite_reach(self) -> float | None:
+        """The longest extension that the suite gives to planners with trees [rad]."""
+        return suite_named(self.suite).reach
+
+    @property
     def digests(self) -> dict[str, str]:
         """sha256 of a folder's problems by name; empty for other suites."""
         known = suite_named(self.suite).digests
@@ -89,7 +95,7 @@ class Experiment:
             **_cost_settings(self.budget),
             "backend": self.backend,
             **({"optimize": _limits(self.optimize)} if self.optimize else {}),
-            **({"reach_rad": str(self.reach)} if self.reach else {}),
+            **({"reach_rad": str(reach)} if (reach := self.reach or self.suite_reach) else {}),
             **suite_named(self.suite).settings,
         }
 
@@ -134,7 +140,9 @@ class Run(NamedTuple):
     def method(self) -> Method:
         """Planner with its weights."""
         method = planner_named(self.planner, reach=self.experiment.reach)
-        model = self.experiment.model
+        model, reach = self.experiment.model, self.experiment.suite_reach
+        if reach is not None and self.experiment.reach is None and method.grows:
+            method = method.with_reach(reach)
         return method if model is None or method.weights is None else method.with_model(model)
 
     @property

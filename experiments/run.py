@@ -19,6 +19,7 @@ from cvqmpt_lab.base.caches import sources_digest
 from cvqmpt_lab.base.errors import CvqmptError, whole_number
 from cvqmpt_lab.benchmarks.item import (
     ExecutedProblem,
+    Phases,
     SensedProblem,
     SuiteItem,
     UnsolvableProblem,
@@ -38,13 +39,14 @@ from cvqmpt_lab.constraints.goals import Goals, goals_of
 from cvqmpt_lab.experiments.executors import Executor, Lost, dask_cluster, local_processes
 from cvqmpt_lab.experiments.experiment import Experiment, Run, externals_of, weights_of
 from cvqmpt_lab.external.door import external_planner
-from cvqmpt_lab.features.tasks.solve import PhaseOutcome, TaskSolution, solve_task
+from cvqmpt_lab.features.motion.motion_check import timed_motion
+from cvqmpt_lab.features.tasks.solve import PhaseOutcome, TaskSolution, phase_seed, solve_task
 from cvqmpt_lab.features.tasks.task import Task
 from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.planning.solution import Solution
 from cvqmpt_lab.planning.warm_up import compile_kernels
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.search.result import Budget
+from cvqmpt_lab.search.result import Budget, Counters, JointPath
 from cvqmpt_lab.search.space import ConstrainedSpace
 from cvqmpt_lab.vqmpt.sampler_choice import SamplerChoice
 
@@ -74,6 +76,8 @@ def outcome_of(run: Run, item: SuiteItem, goals: Goals | None = None) -> Outcome
         return Outcome(
             phase_rows(run, task), _states([outcome.solution for outcome in task.outcomes])
         )
+    if isinstance(item, Phases):
+        return _planned_apart(run, item)
     began, new = time.perf_counter(), suite_named(setup.suite).new_scenes
     solution = solve(
         item.problem if isinstance(item, SensedProblem) else item,
@@ -88,7 +92,7 @@ def outcome_of(run: Run, item: SuiteItem, goals: Goals | None = None) -> Outcome
     )
     row = result_row(run, solution, 0.0 if goals is None else goals.seconds)
     if solution.plan.waypoints is not None and suite_named(setup.suite).simplified_by_ompl:
-        row = replace(row, path_length_ompl_rad=_length_by_ompl(solution))
+        row = replace(row, path_length_ompl_rad=_simplified_by_ompl(solution)[0].length)
     if isinstance(item, SensedProblem):
         whole = item.seconds + time.perf_counter() - began
         row = replace(row, t_sense_s=item.seconds, t_whole_s=whole)
@@ -104,13 +108,65 @@ def outcome_of(run: Run, item: SuiteItem, goals: Goals | None = None) -> Outcome
     return Outcome([replace(row, scene_new=new)], _states([solution]))
 
 
-def _length_by_ompl(solution: Solution) -> float:
-    """Return the length of a path of OMPL after OMPL's simplification [rad]; no time counts it."""
+def _simplified_by_ompl(solution: Solution) -> tuple[JointPath, Counters]:
+    """Return a path of OMPL after OMPL's simplification, and the work of that."""
     from cvqmpt_lab.search.ompl_planners import simplified_by_ompl  # ompl takes 0.3 s to import
 
     assert solution.plan.waypoints is not None
     space = ConstrainedSpace.of(solution.problem, ends=solution.problem.start[None])
-    return simplified_by_ompl(space, solution.plan.waypoints).length
+    return simplified_by_ompl(space, solution.plan.waypoints), space.counters
+
+
+def _planned_apart(run: Run, item: Phases) -> Outcome:
+    """Plan the phases of a task, each as a problem with a seed of its own."""
+    rows, solutions, setup = [], [], run.experiment
+    for number, (phase, problem) in enumerate(item.problems.items(), start=1):
+        solution = solve(
+            problem,
+            run.method,
+            setup.budget,
+            phase_seed(run.seed, item.name, phase),
+            backend=setup.backend,
+            use_cache=False,  # each phase observes another scene
+            exact_clearance=True,
+        )
+        row = replace(
+            result_row(run, solution, solution.goal_seconds),
+            problem=phase_problem(item.name, number, phase),
+        )
+        if solution.solved:
+            row = _as_executed(row, solution)
+        rows.append(row)
+        solutions.append(solution)
+    return Outcome(rows, _states(solutions))
+
+
+def _as_executed(row: ResultRow, solution: Solution) -> ResultRow:
+    """Return the row of a phase with OMPL's simplification, as published, in place of ours.
+
+    The published code counts it as planning, and executes its path unchecked: so the execution time
+    is that of a path without a certificate. `solved` is about ours. A path that OMPL did not find
+    is executed as it is.
+    """
+    if solution.plan.waypoints is None:
+        assert solution.path is not None
+        motion = timed_motion(solution.problem, solution.path)
+        return replace(row, execution_time_s=motion.duration)
+    began = time.perf_counter()
+    path, work = _simplified_by_ompl(solution)
+    seconds = time.perf_counter() - began
+    assert row.t_total_s is not None and solution.plan.counted is not None
+    total = solution.plan.counted + work
+    return replace(
+        row,
+        t_simplify_s=seconds,
+        t_total_s=row.t_total_s - (row.t_simplify_s or 0.0) + seconds,
+        n_projections=total.projections,
+        n_newton_iterations=total.newton_iterations,
+        n_state_checks=total.state_checks,
+        path_length_ompl_rad=path.length,
+        execution_time_s=timed_motion(solution.problem, path).duration,
+    )
 
 
 def _states(solutions: Sequence[Solution]) -> list[np.ndarray]:
@@ -128,7 +184,7 @@ def failed_rows(run: Run, item: SuiteItem, reason: FailReason, detail: str) -> l
     """
     if isinstance(item, ExecutedProblem):
         return [run.row(name, reason, detail) for name in item.controllers]
-    names = _phase_problems(item) if isinstance(item, Task) else [item.name]
+    names = _phase_problems(item) if isinstance(item, Task | Phases) else [item.name]
     return [
         run.row(name, FailReason.NOT_REACHED if later else reason, detail)
         for later, name in enumerate(names)
@@ -214,12 +270,10 @@ def _defined(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def _phase_problems(task: Task) -> list[str]:
+def _phase_problems(task: Task | Phases) -> list[str]:
     """Return the names of a task's planned phases in rows."""
-    return [
-        phase_problem(task.name, number, phase.name)
-        for number, (_, phase) in enumerate(task.planned, start=1)
-    ]
+    planned = [phase.name for _, phase in task.planned] if isinstance(task, Task) else task.problems
+    return [phase_problem(task.name, number, name) for number, name in enumerate(planned, start=1)]
 
 
 def phase_rows(run: Run, solution: TaskSolution) -> list[ResultRow]:

@@ -153,11 +153,6 @@ TASK_NOTES = (
     "Execution: duration of the fastest motion within a tenth of the joints' velocity and "
     "acceleration limits, at rest between phases. The paper's number is the wall-clock time of a "
     "simulated controller that follows waypoints, so that only ratios can be compared.",
-    "The paper replays a stored motion to open the door. Here this motion is planned, and so is "
-    "the straight motion to the can. The first table leaves out their times, the second contains "
-    "them.",
-    "The final pose of the can is drawn for every task; in the published code it is the same in "
-    "all tasks, by a side effect.",
     "Fallbacks: phases whose path was found by another method than the named planner; they count "
     "as runs of the named planner.",
 )
@@ -168,12 +163,15 @@ ABSENT = (
 )
 
 
-def task_table(rows: Iterable[ResultRow], published: Sequence[PublishedValue]) -> SuiteTable:
+def task_table(
+    rows: Iterable[ResultRow], published: Sequence[PublishedValue], notes: Sequence[str] = ()
+) -> SuiteTable:
     """Return the paper's Table II for both sets of phases, phases, fallbacks, failures and notes.
 
     Args:
         rows: rows of one suite of tasks.
         published: the paper's numbers.
+        notes: further notes of the suite.
 
     Raises:
         InvalidInputError: a row is not a phase of a task.
@@ -201,14 +199,20 @@ def task_table(rows: Iterable[ResultRow], published: Sequence[PublishedValue]) -
         found += [tasks[-1], *parts]
     by_phase.sort(key=lambda item: phases.index(item.group[0]))
     size, suite = f"{len({name.task for name in names})} tasks", runs.rows[0].suite
+    only_timed = set(phases) <= set(PAPER_PHASES)
     sections = {
-        **{f"{size}, {text}": _time_lines(tasks, part) for part, text in TASK_PARTS.items()},
+        **{
+            f"{size}, {text}": _time_lines(tasks, part)
+            for part, text in TASK_PARTS.items()
+            if part == "paper" or not only_timed
+        },
         "By phase (medians over the runs that reached it)": table.group_lines(
             by_phase, ["phase"], "n"
         ),
         **table.counted(tasks),
         "Notes": [
             *TASK_NOTES,
+            *notes,
             *([] if CBIRRT in runs.groups else [ABSENT]),
             *table.run_notes(runs),
             *table.published_notes(runs, published),

@@ -1,4 +1,4 @@
-"""Items of suites other than problems and tasks: unsolvable, sensed and executed problems."""
+"""Items of suites other than problems and tasks: unsolvable, sensed, executed ones, and phases."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -46,4 +46,12 @@ class ExecutedProblem:
     controllers: Mapping[str, str]
 
 
-SuiteItem = Solvable | UnsolvableProblem | SensedProblem | ExecutedProblem
+@dataclass(frozen=True)
+class Phases:
+    """Phases of a task that are problems of their own, each planned whether others fail or not."""
+
+    name: str  # name of the task
+    problems: Mapping[str, PlanningProblem]  # by name of the phase, in order
+
+
+SuiteItem = Solvable | UnsolvableProblem | SensedProblem | ExecutedProblem | Phases

@@ -19,13 +19,12 @@ published, task k starts free of collision (seed 100 + k), the can is carried to
 of (0.25, -0.45), and two obstacles stand on the counter. Unlike published, opening the door is
 planned, not replayed; the can's final pose is drawn for every task; the can is an obstacle until it
 is grasped, then it collides like the robot, and is put down CAN_LIFT_M above the published height.
-`published_task` reaches the handle and the can in one fixed configuration each and has one final
-pose of the can, as the published code does.
+`benchmarks.published` has both tasks as the published code has them.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import lru_cache
 
 import numpy as np
 
@@ -42,7 +41,6 @@ from cvqmpt_lab.constraints.goals import (
     on_manifold,
     sample_region,
 )
-from cvqmpt_lab.constraints.region_constraint import JumpingConstraint
 from cvqmpt_lab.constraints.task_space_region import (
     FREE,
     UPRIGHT_ROTATION,
@@ -51,7 +49,6 @@ from cvqmpt_lab.constraints.task_space_region import (
     upright_box,
 )
 from cvqmpt_lab.features.tasks.task import Grasp, Hold, Move, Release, Slide, Task, Turn
-from cvqmpt_lab.features.tasks.world import World, phase_goals
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import PANDA_FINGER_OPENING_M, panda, robot_from_source
 from cvqmpt_lab.robot.robot import Robot
@@ -147,7 +144,8 @@ def place_kitchen(changes: Mapping[str, float] | None = None) -> Scene:
 
 
 @lru_cache(maxsize=1)
-def _place_scene() -> Scene:
+def place_scene() -> Scene:
+    """Return the kitchen of the place task."""
     return place_kitchen()
 
 
@@ -164,42 +162,6 @@ def _mirrored_scene() -> Scene:
         for item in scene.objects
     )
     return Scene("kitchen mirrored", objects)
-
-
-class PublishedProblem(PlanningProblem):
-    """A problem whose constraint function jumps at its bounds, as in the published code."""
-
-    @cached_property
-    def manifold(self) -> JumpingConstraint:
-        """The constraint F(q) = 0."""
-        return JumpingConstraint(self.robot, self.constraint)
-
-
-def published_problem(environment: int) -> PlanningProblem:
-    """Return the place task as the published code has it: from the shelf to the counter.
-
-    The start is one fixed grasp of the can on the shelf, goals are grasps of the can on the
-    counter, and F jumps at its bounds. (The paper's text describes the other direction.)
-    """
-    com = np.copy(shelf_com())
-    straight = replace(grasp_region(com), Bw=np.zeros((6, 2)))
-    found = problem_between(
-        str(environment),
-        _place_scene(),
-        (straight, grasp_region(can_com(environment))),
-        upright_box(),
-        np.random.default_rng(0),  # the same start in every environment
-        what="start grasp",
-    )
-    assert isinstance(found, PlanningProblem)
-    return PublishedProblem(
-        name=found.name,
-        robot=found.robot,
-        scene=found.scene,
-        start=found.start,
-        constraint=found.constraint,
-        goal_region=found.goal_region,
-    )
 
 
 def mirrored_problem(environment: int) -> PlanningProblem | UnsolvableProblem:
@@ -237,7 +199,7 @@ def place_problem(environment: int, with_can: bool = False) -> PlanningProblem |
     lift = CAN_LIFT_M if with_can else 0.0
     com = can_com(environment) + (0.0, 0.0, lift)
     shelf = grasp_region(shelf_com())
-    return _problem(environment, _place_scene(), com, shelf, attachments)
+    return _problem(environment, place_scene(), com, shelf, attachments)
 
 
 def _problem(
@@ -388,45 +350,11 @@ def sequence_world() -> Scene:
 
 def multi_sequence_task(number: int) -> Task:
     """Return task `number`; 0 to 9 are the paper's, others follow the same distribution."""
-    rng, start = _drawn_start(number)
-    return _multi_sequence(number, start, 0.1 * rng.uniform(size=2))
+    rng, start = sequence_start(number)
+    return sequence_of(number, start, 0.1 * rng.uniform(size=2))
 
 
-def published_task(number: int) -> Task:
-    """Return task `number` with the fixed configurations and final pose of the published code.
-
-    The published code draws the final pose after it has seeded its generator with 0.
-    """
-    _, start = _drawn_start(number)
-    shift = 0.1 * np.random.RandomState(0).uniform(size=4)[2:]
-    task = _multi_sequence(number, start, shift)
-    fixed = dict(zip(PAPER_PHASES[:2], _fixed_configurations(), strict=True))
-    return task.changed(
-        phases=tuple(
-            phase.changed(configuration=fixed[phase.name]) if phase.name in fixed else phase
-            for phase in task.phases
-        )
-    )
-
-
-@lru_cache(maxsize=1)
-def _fixed_configurations() -> tuple[np.ndarray, np.ndarray]:
-    """Return the configurations (n,) at the handle and at the can: the first goals of task 0.
-
-    The published ones stand in files that are not published.
-    """
-    task = multi_sequence_task(0)
-    closed = World.before(task)
-    opened = replace(closed, scene=closed.scene.with_joint(SHELF_DOOR, DOOR_OPEN_RAD))
-    names = [phase.name for _, phase in task.planned]
-    at_handle, at_can = (
-        phase_goals(task, names.index(name), world)[0][0]
-        for name, world in zip(PAPER_PHASES[:2], (closed, opened), strict=True)
-    )
-    return at_handle, at_can
-
-
-def _drawn_start(number: int) -> tuple[np.random.Generator, np.ndarray]:
+def sequence_start(number: int) -> tuple[np.random.Generator, np.ndarray]:
     """Return a task's generator, and its start (n,) free of collision [rad]."""
     if number < 0:
         raise InvalidInputError(
@@ -434,14 +362,14 @@ def _drawn_start(number: int) -> tuple[np.random.Generator, np.ndarray]:
         )
     robot = robot_from_source({"name": "panda"})
     rng = np.random.default_rng(100 + number)
-    checker = CollisionChecker(robot, sequence_world(), margin=SAMPLE_MARGIN_M)
+    checker = shared_checker(robot, sequence_world(), (), SAMPLE_MARGIN_M)
     start = robot.random_configurations(rng, 1)[0]
     while checker.in_collision(start):
         start = robot.random_configurations(rng, 1)[0]
     return rng, start
 
 
-def _multi_sequence(number: int, start: np.ndarray, shift: np.ndarray) -> Task:
+def sequence_of(number: int, start: np.ndarray, shift: np.ndarray) -> Task:
     """Return task `number` from a start (n,) [rad]; shift: of the can's final place (2,) [m]."""
     robot = robot_from_source({"name": "panda"})
     # where the can's centre of mass goes: within a square of a decimetre

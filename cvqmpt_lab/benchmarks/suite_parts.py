@@ -85,6 +85,8 @@ class Suite:
     simplified_by_ompl: bool = False  # whether rows have lengths after OMPL's simplification
     # limit of a run in the paper's seconds if no other limit is given; None: 10 s of wall time
     cost: float | None = None
+    # [rad] longest extension of all planners with trees if no other is given; None: each its own
+    reach: float | None = None
     # further settings on which the rows depend, as json values
     settings: Mapping[str, object] = field(default_factory=dict)
     # sha256 of a folder's problems, by name
@@ -103,14 +105,25 @@ class Suite:
         """Return problem or task `index`; the problem of a scanned scene is in its map.
 
         Raises:
-            InvalidInputError: the index is unknown, or no problem could be made for it.
+            InvalidInputError: the index is unknown, no problem could be made for it, or it has
+                several.
         """
-        from cvqmpt_lab.benchmarks.item import ExecutedProblem, SensedProblem, UnsolvableProblem
+        from cvqmpt_lab.benchmarks.item import (
+            ExecutedProblem,
+            Phases,
+            SensedProblem,
+            UnsolvableProblem,
+        )
 
         item = self.item(index)
         if isinstance(item, UnsolvableProblem):
             raise InvalidInputError(
                 f"problem {index} of {self.name} has no solution: {item.reason}"
+            )
+        if isinstance(item, Phases):
+            raise InvalidInputError(
+                f"task {index} of {self.name} is {len(item.problems)} problems; write them to "
+                f"files, and plan one: cvqmpt problems export {self.name} --out DIR"
             )
         return item.problem if isinstance(item, SensedProblem | ExecutedProblem) else item
 

@@ -50,7 +50,7 @@ def ompl(name: str, manifold: str, kpiece: bool = False) -> Method:
 
         return Stages(search=OmplSearch(manifold, kpiece))
 
-    return Method(name, build, needs_charts=manifold != "projected", grows=False)
+    return Method(name, build, needs_charts=manifold != "projected")
 
 
 def ompl_uniform(name: str) -> Method:
@@ -61,7 +61,7 @@ def ompl_uniform(name: str) -> Method:
 
         return Stages(search=published_search(), goals_apart=True, goal_limits=(GOAL_LIMIT,))
 
-    return Method(name, build, grows=False)
+    return Method(name, build)
 
 
 PLANNERS: dict[str, Method] = {name: one.make(name) for name, one in declared().items()}

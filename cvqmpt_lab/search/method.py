@@ -31,7 +31,7 @@ class Method:
     model: str | None = None  # name or folder of its weights; None for the shipped ones
     sampler: Any = None  # `SamplerChoice` of a learned sampler, else None
     external: str = ""  # Python distributions and versions of an external planner
-    grows: bool = True  # whether its search is a `BiRRT`
+    grows: bool = True  # whether its search grows trees with a longest extension, `reach`
 
     @staticmethod
     def simple(name: str, **stages: Any) -> "Method":
@@ -55,14 +55,12 @@ class Method:
             InvalidInputError: the planner grows no trees, or reach is not above 0.
         """
         if not self.grows:
-            raise InvalidInputError(
-                f"{self.name} does not grow the trees of birrt and has no reach: leave --reach out"
-            )
+            raise InvalidInputError(f"{self.name} grows no trees with a reach: leave --reach out")
 
         def build(problem: PlanningProblem, model: str) -> Stages:
             stages = self.build(problem, model)
-            search = stages.search or BiRRT()
-            assert isinstance(search, BiRRT)
+            # of `BiRRT`, or `OmplSearch`, which the core does not import
+            search: Any = stages.search or BiRRT()
             return replace(stages, search=replace(search, reach=reach))
 
         BiRRT(reach=reach)  # refuses a wrong reach

@@ -14,6 +14,7 @@ some phases of tasks, all three baselines are RRTConnect in the joint space.
 """
 
 import math
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -62,7 +63,7 @@ class _Manifold(ob.Constraint):
     def __init__(self, space: ConstrainedSpace, draws: "_Draws | None" = None) -> None:
         super().__init__(space.robot.dof, space.dim, space.arrays.tolerance)
         self._space, self._draws = space, draws
-        self._jumps = isinstance(space.constraint, JumpingConstraint)
+        self._jumps = _as_published(space)
 
     def function(self, x: np.ndarray, out: np.ndarray) -> None:
         """Write F(x) at a configuration x (n,)."""
@@ -221,7 +222,7 @@ class OmplSearch:
     # [rad] longest motion towards a sample: a longer one ends there. inf: a motion adds a node at
     # its sample or none, as published (13.07, more than the Panda's joint space). None: OMPL's
     # default, a fifth of the extent of the joint space
-    range: float | None = None
+    reach: float | None = None
 
     def __post_init__(self) -> None:
         if self.sampled and (self.manifold != "projected" or self.kpiece):
@@ -249,9 +250,9 @@ class OmplSearch:
         )
 
 
-def published_search(range: float = math.inf, free_draws: bool = False) -> OmplSearch:
+def published_search(reach: float = math.inf, free_draws: bool = False) -> OmplSearch:
     """Return the search of the paper's experiments with a learned sampler, see `OmplSearch`."""
-    return OmplSearch("projected", sampled=True, range=range, free_draws=free_draws)
+    return OmplSearch("projected", sampled=True, reach=reach, free_draws=free_draws)
 
 
 GOAL_LIMIT = Budget(cost=2.5)  # of the search for one goal in the published code
@@ -275,8 +276,11 @@ class _Run:
             goal.addState(self._state(self._inside(q)))
         self._problem.setGoal(goal)
         self._planner = (og.BKPIECE1 if method.kpiece else og.RRTConnect)(self._information)
-        if method.range is not None:
-            self._planner.setRange(min(method.range, 2.0 * self._states.getMaximumExtent()))
+        reach = method.reach
+        if space.dim == 0 and _as_published(space):
+            reach = math.inf
+        if reach is not None:
+            self._planner.setRange(min(reach, 2.0 * self._states.getMaximumExtent()))
         if method.kpiece:
             self._projection = _FreeRows(self._states, space)  # OMPL does not keep it alive
             self._planner.setProjectionEvaluator(self._projection)
@@ -399,6 +403,7 @@ def _state_spaces(space: ConstrainedSpace, manifold: str, draws: _Draws | None =
     if space.dim or draws is not None:
         constraint = _Manifold(space, draws)
         states = _state_space(manifold, _joint_space(space), constraint)
+        states.setDelta(_step(space))
         kind = (
             ob.TangentBundleSpaceInformation
             if manifold == "tangent-bundle"
@@ -406,11 +411,43 @@ def _state_spaces(space: ConstrainedSpace, manifold: str, draws: _Draws | None =
         )
     else:
         states, kind = _joint_space(space), ob.SpaceInformation
-        states.setLongestValidSegmentFraction(OMPL_STEP_RAD / states.getMaximumExtent())
+        states.setLongestValidSegmentFraction(_step(space) / states.getMaximumExtent())
     information = kind(states)
     information.setStateValidityChecker(_validity(space))
+    if draws is not None and not space.dim:
+        information.setMotionValidator(_StraightMotions(information, space))
     information.setup()
     return states, information
+
+
+class _StraightMotions(ob.MotionValidator):
+    """Checks the states of a straight motion in the order of OMPL's joint space.
+
+    A constrained space checks them from the start on, because each is the projection of the one
+    before. Without a constraint that takes more checks to refuse a motion.
+    """
+
+    def __init__(self, information: ob.SpaceInformation, space: ConstrainedSpace) -> None:
+        super().__init__(information)
+        # see `_validity` about references
+        self._valid, self._step, self._n = _validity(space), _step(space), space.robot.dof
+
+    def checkMotion(self, first, last, *_) -> bool:
+        """Return whether a motion is valid whose first state is: last state, then bisection."""
+        begin, end = (np.array([state[i] for i in range(self._n)]) for state in (first, last))
+        count = math.ceil(np.linalg.norm(end - begin) / self._step)
+        if not self._valid(end):
+            return False
+        parts = deque([(1, count - 1)])
+        while parts:
+            low, high = parts.popleft()
+            if low > high:
+                continue
+            middle = (low + high) // 2
+            if not self._valid(begin + middle / count * (end - begin)):
+                return False
+            parts += (low, middle - 1), (middle + 1, high)
+        return True
 
 
 def _validity(space: ConstrainedSpace) -> Callable[..., bool]:
@@ -452,8 +489,22 @@ def _state_space(manifold: str, joints: ob.RealVectorStateSpace, constraint: _Ma
         states.setBackoff(0.75)
     if manifold == "atlas":
         states.setSeparated(True)
-    states.setDelta(OMPL_STEP_RAD)
     return states
+
+
+def _as_published(space: ConstrainedSpace) -> bool:
+    """Return whether the problem is one of the published code, not of the paper's text."""
+    return isinstance(space.constraint, JumpingConstraint)
+
+
+def _step(space: ConstrainedSpace) -> float:
+    """Return the distance of the states of a motion that OMPL checks [rad].
+
+    The published code leaves OMPL's default, 1 % of the extent, where there is no constraint.
+    """
+    if space.dim == 0 and _as_published(space):
+        return 0.01 * float(np.linalg.norm(space.robot.upper - space.robot.lower))
+    return OMPL_STEP_RAD
 
 
 OMPL_STATE_SPACES = {

@@ -54,8 +54,7 @@ def product(name: str, choice: SamplerChoice, other_scene: Scene | None = None) 
 
         return learned(problem.robot, model, name, choice, other_scene)
 
-    fit, grows = partial(misfit, "vq_mpt"), choice.host == "in-birrt"
-    return Method(name, build, "vq_mpt", fit, sampler=choice, grows=grows)
+    return Method(name, build, "vq_mpt", partial(misfit, "vq_mpt"), sampler=choice)
 
 
 def dictionary_roadmap(problem: PlanningProblem, model: str) -> Roadmap:

@@ -10,7 +10,7 @@ from ompl import util as ou
 from refusals import refused
 
 from cvqmpt_lab.base.errors import InvalidInputError
-from cvqmpt_lab.benchmarks.place_task import published_problem
+from cvqmpt_lab.benchmarks.published import published_problem
 from cvqmpt_lab.constraints.region_constraint import RegionConstraint
 from cvqmpt_lab.constraints.task_space_region import displacements
 from cvqmpt_lab.planning.pipeline import solve
@@ -64,7 +64,7 @@ def recorded(monkeypatch, problem, seed):
 @pytest.mark.parametrize("seed", [0, 1, 3, 4])
 def test_ompl_finds_the_same_path_with_its_own_draws_given_back(monkeypatch, problem, seed):
     """So the hook sees all draws of RRTConnect, and replaces nothing else."""
-    plain = OmplSearch("projected", range=np.inf).search(query_of(problem, seed=seed), None)
+    plain = OmplSearch("projected", reach=np.inf).search(query_of(problem, seed=seed), None)
     noted, draws = recorded(monkeypatch, problem, seed)
     given = published_search().search(query_of(problem, seed=seed), Replayed(draws))
     assert plain.path is not None and len(draws) == plain.counters.iterations > 1
@@ -120,8 +120,8 @@ def test_a_priced_budget_ends_where_the_prices_say(problem, name):
 
 
 def test_goals_are_tried_one_after_the_other_each_with_its_limit(problem):
-    search = replace(published_search(), range=0.3)
-    assert search.range == 0.3
+    search = replace(published_search(), reach=0.3)
+    assert search.reach == 0.3
     found = solve(problem, "ompl-uniform", Budget(cost=8.0), seed=1).plan
     again = solve(problem, "ompl-uniform", Budget(cost=8.0), seed=1).plan
     assert found.counters == again.counters and found.goals_tried == again.goals_tried
@@ -130,10 +130,9 @@ def test_goals_are_tried_one_after_the_other_each_with_its_limit(problem):
     assert found.vertices == found.counters.extensions + found.roots
 
 
-def test_the_published_task_goes_from_one_grasp_on_the_shelf_to_the_counter():
-    """F jumps at the bounds: projections end near their centre, ours end at the bounds."""
-    first, second = published_problem(1000), published_problem(1001)
-    np.testing.assert_array_equal(first.start, second.start)
+def test_projections_of_the_published_task_end_near_the_centre():
+    """F jumps at the bounds; ours end at the bounds."""
+    first = published_problem(1000)
     space = ConstrainedSpace.of(first, ends=first.start[None])
     manifold = ompl_planners._Manifold(space)
     bounds = RegionConstraint(first.robot, first.constraint)
@@ -181,3 +180,22 @@ def test_simplification_is_that_of_ompl(problem):
     assert ours.length == pytest.approx(path.length(), abs=1e-9)
     assert ours.length <= found.path.length * 1.001
     np.testing.assert_allclose(ours.states[[0, -1]], found.waypoints[[0, -1]])
+
+
+def test_motions_without_a_constraint_are_checked_in_the_order_of_ompl(problem):
+    """From the start on, as in constrained spaces, to refuse a motion takes more checks."""
+    free = ConstrainedSpace.of(problem).unconstrained()
+    states, information = ompl_planners._state_spaces(free, "projected")
+    ours = ompl_planners._StraightMotions(information, free)
+    given, blocked = [states.allocState() for _ in range(2)], 0
+    drawn = problem.robot.random_configurations(np.random.default_rng(0), 200)
+    for ends in drawn.reshape(100, 2, -1):
+        for state, q in zip(given, ends, strict=True):
+            ompl_planners._write(q, state)
+        found = []
+        for check in (information.checkMotion, ours.checkMotion):
+            before = free.counters.state_checks
+            found.append((check(*given), free.counters.state_checks - before))
+        assert found[0] == found[1]
+        blocked += not found[0][0]
+    assert 10 < blocked < 100

@@ -67,6 +67,29 @@ def certified_motion(
     Raises InvalidInputError if the path does not move, the robot has no acceleration limits, or no
     motion is certified.
     """
+
+    def faults(motion: Trajectory) -> Sequence[str]:
+        return also(motion) or trajectory_faults(problem, motion, settings)
+
+    return timed_motion(problem, path, settings, faults)
+
+
+def timed_motion(
+    problem: PlanningProblem,
+    path: JointPath,
+    settings: TimingSettings | None = None,
+    faults: Callable[[Trajectory], Sequence[str]] | None = None,
+) -> Trajectory:
+    """Compute the fastest motion along a path within the robot's limits; it is not certified.
+
+    Args:
+        problem: the problem.
+        path: the path.
+        settings: as in `certified_motion`.
+        faults: returns the faults that a motion must not have, see `timing.time_path`.
+
+    Raises InvalidInputError if the path does not move, or the robot has no acceleration limits.
+    """
     from cvqmpt_lab.features.motion.timing import time_path  # half a second to import
 
     # OMPL repeats some states, which cannot be timed
@@ -74,10 +97,6 @@ def certified_motion(
     if len(states) < 2:
         raise InvalidInputError("the path does not move: there is nothing to time")
     states[-1] = path.states[-1]
-
-    def faults(motion: Trajectory) -> Sequence[str]:
-        return also(motion) or trajectory_faults(problem, motion, settings)
-
     frames = FrameSpeeds(problem.robot) if problem.robot.frame_limits else None
     limits = problem.robot.joint_limits
     return time_path(states, limits, settings, faults, problem.dynamics, frames)

@@ -5,6 +5,7 @@ plans to another one. Slides and turns are impossible from some grasps. They get
 the budget first, and the whole budget if they fail from all grasps.
 """
 
+import hashlib
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
@@ -129,7 +130,7 @@ def solve_task(
             solution's task has these as phases.
         method: planner or its name; birrt plans the phases with which it is incompatible.
         budget: budget of one planning run.
-        seed: seed of all random numbers.
+        seed: seed of all random numbers, with the names of task and phases, see `phase_seed`.
         timing: speed and corner deviation of the motions; None: the defaults.
         backend: collision checks of the search, see `pipeline.solve`.
         margin: margin of every phase, reduced if its start or goals do not allow it.
@@ -141,6 +142,20 @@ def solve_task(
     require_kind("method", method, Method, "or the name of a planner")
     timing = timing or TimingSettings()
     return _Run(task.in_legs, method, budget, seed, timing, backend, margin.check()).solve()
+
+
+def phase_seed(seed: int, task: str, phase: str, tried: int = 0) -> int:
+    """Return the seed of one planning run, which no other task, phase or attempt has.
+
+    Args:
+        seed: seed of the task's run.
+        task: name of the task.
+        phase: name of the phase.
+        tried: number of earlier attempts to plan the phase.
+    """
+    key = hashlib.sha256(f"{task}/{phase}".encode()).digest()
+    stream = np.random.default_rng([seed, tried, *np.frombuffer(key, "<u4")])
+    return int(stream.integers(2**53))
 
 
 @dataclass(eq=False)
@@ -174,7 +189,6 @@ class _Run:
     backend: str
     margin: Margin
     retries: int = 0  # remaining number of returns to an earlier phase
-    runs: int = 0  # number of planning runs
     cut_short: bool = False  # whether a run with a share of the budget failed
     attempts: dict[str, tuple[Solution, ...]] = field(default_factory=dict)  # by name of phase
 
@@ -241,12 +255,12 @@ class _Run:
             solution = Solution(problem, no_plan(PlanStatus.NO_GOAL))
             reason = "; ".join(filter(None, (reason, why_no_goal(problem))))
         else:
-            self.runs += 1
+            tried = len(self.attempts.get(step.phase.name, ()))
             try:
                 request = Request(
                     "birrt" if incompatible else self.method,
                     self.budget.share(share),
-                    int(np.random.default_rng([self.seed, self.runs]).integers(2**32)),
+                    phase_seed(self.seed, self.task.name, step.phase.name, tried),
                     self.margin,
                     timing=self.timing,
                     backend=self.backend,

@@ -9,7 +9,8 @@ import pytest
 from refusals import refused
 
 from cvqmpt_lab.base.poses import pose
-from cvqmpt_lab.benchmarks.place_task import carried_can, published_task
+from cvqmpt_lab.benchmarks.place_task import carried_can
+from cvqmpt_lab.benchmarks.published import planned_door_task
 from cvqmpt_lab.benchmarks.results.row import PAPER_PHASES
 from cvqmpt_lab.certificate.certificate import FaultKind, certify
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
@@ -229,7 +230,7 @@ def test_a_goal_out_of_reach_names_phase_and_cause(task):
 
 def test_a_move_to_a_configuration_ends_there(task):
     """The published task reaches the handle and the can in the same configurations every time."""
-    first, second = published_task(3), published_task(4)
+    first, second = planned_door_task(3), planned_door_task(4)
     ends = {phase.name: phase.configuration for phase in first.phases if isinstance(phase, Move)}
     assert list(ends) == list(PAPER_PHASES) and ends["carry"] is None
     for phase in second.planned:
