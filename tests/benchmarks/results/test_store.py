@@ -200,7 +200,7 @@ def test_rows_of_another_rule_of_random_streams_are_refused_by_name(tmp_path):
     """Records without the field are of rule 1, by the start alone."""
     with RunStore.open(tmp_path, {"suite": "place"}, {}) as store:
         store.append([a_row()])
-    with pytest.raises(RunStoreError, match="rule of random streams was 1, now 2.*another --out"):
+    with pytest.raises(RunStoreError, match=r"rule of random streams was 1, now 2.*another --out"):
         RunStore.open(tmp_path, {"suite": "place"}, {"streams": 2}).__enter__()
     with RunStore.open(tmp_path, {"suite": "place"}, {}) as store:
         store.append([a_row("p2")])
