@@ -30,14 +30,7 @@ from cvqmpt_lab.experiments import regression
 from cvqmpt_lab.experiments.regression import EXPECTED
 from cvqmpt_lab.paper_tables import pages, statements
 from cvqmpt_lab.paper_tables.beside import Judged, beside_lines, explained, repeated
-from cvqmpt_lab.paper_tables.claims import (
-    Evidence,
-    JudgedClaim,
-    banner,
-    evidence_below,
-    judged_claims,
-    read_evidence,
-)
+from cvqmpt_lab.paper_tables.claims import JudgedClaim, judged_claims
 from cvqmpt_lab.paper_tables.committed import (
     RESULTS,
     committed_directories,
@@ -57,6 +50,7 @@ from cvqmpt_lab.paper_tables.compare_runs import (
     comparison_lines,
     planners_of_one,
 )
+from cvqmpt_lab.paper_tables.evidence import Evidence, banner, evidence_below, read_evidence
 from cvqmpt_lab.paper_tables.rendering import render_directory
 from cvqmpt_lab.paper_tables.writers import PAGE_WIDTH, text_lines
 

@@ -19,7 +19,7 @@ from cvqmpt_lab.benchmarks.suite_parts import Suite
 from cvqmpt_lab.certificate.certificate import Certificate, certify
 from cvqmpt_lab.features.tasks.task import Task
 from cvqmpt_lab.features.tasks.world import phase_problems
-from cvqmpt_lab.paper_tables.claims import Evidence
+from cvqmpt_lab.paper_tables.evidence import Evidence
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.search.result import JointPath
 

@@ -3,9 +3,10 @@
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from cvqmpt_lab.paper_tables.claims import Comparison, Evidence, JudgedClaim, points
-from cvqmpt_lab.paper_tables.rule import FEWEST_PROBLEMS, SHARE_MARGIN
+from cvqmpt_lab.paper_tables.claims import Comparison, JudgedClaim, points
+from cvqmpt_lab.paper_tables.evidence import Evidence
 from cvqmpt_lab.paper_tables.statements import CLAIMS, Claim
+from cvqmpt_lab.paper_tables.within import FEWEST_PROBLEMS, MARGIN
 from cvqmpt_lab.paper_tables.writers import Lines, estimate
 
 
@@ -53,7 +54,7 @@ def few_word(claim: Claim, comparison: Comparison) -> str:
     assert interval is not None
     if interval.low is not None and interval.high is not None:
         if comparison.gain:
-            bound = -SHARE_MARGIN if claim.similar else 0.0
+            bound = -MARGIN if claim.similar else 0.0
             above, below = interval.low > bound, interval.high < bound
         else:
             above, below = interval.high < 1.0, interval.low > 1.0

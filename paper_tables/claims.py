@@ -1,27 +1,22 @@
 """Judge every sentence of the paper by the rows of results directories, by `rule`."""
 
 import csv
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache, cached_property
+from functools import cached_property
 from itertools import product
 from operator import attrgetter
 from pathlib import Path
-from typing import Any
 
-from cvqmpt_lab.benchmarks.declarations import SUITES
-from cvqmpt_lab.benchmarks.results.provenance import PROVENANCE_FILE, ProvenanceFile, sessions
+import numpy as np
+
 from cvqmpt_lab.benchmarks.results.row import (
-    PAPER_PHASES,
-    RUNS_FILE,
-    FailReason,
-    ResultRow,
-    read_rows,
     split_problem,
-    without_ended,
 )
 from cvqmpt_lab.benchmarks.results.statistics import Interval
 from cvqmpt_lab.paper_tables import rule
+from cvqmpt_lab.paper_tables.evidence import Evidence
 from cvqmpt_lab.paper_tables.measures import (
     VALUES,
     Pair,
@@ -35,7 +30,15 @@ from cvqmpt_lab.paper_tables.measures import (
 from cvqmpt_lab.paper_tables.ompl_table import PAPER_CUTOFF_S
 from cvqmpt_lab.paper_tables.rendering import published_of
 from cvqmpt_lab.paper_tables.rule import Effect, Word
-from cvqmpt_lab.paper_tables.statements import CBIRRT, CLAIMS, CVQ, IN_OMPL, OPT, Claim
+from cvqmpt_lab.paper_tables.statements import (
+    CBIRRT,
+    CLAIMS,
+    CVQ,
+    IN_OMPL,
+    OPT,
+    Claim,
+)
+from cvqmpt_lab.paper_tables.within import FEWEST_PROBLEMS, Within, solved_within
 from cvqmpt_lab.paper_tables.writers import Lines, estimate
 
 # the cost of a run by the time that the network takes
@@ -45,42 +48,6 @@ COSTS = {
     "this machine": "paper_cost",
 }
 LENGTHS = {"length": "ompl_length", "execution": "execution_time"}
-
-
-@dataclass(frozen=True, eq=False)
-class Evidence:
-    """A results directory."""
-
-    folder: Path
-    rows: Rows  # empty for a figure
-    record: dict[str, Any]  # its provenance
-
-    @cached_property
-    def runs(self) -> dict[str, dict[tuple[str, int], Rows]]:
-        """Rows of each run by planner, and by problem and seed.
-
-        A run of a task has the rows of the phases that the paper times; a task in which another
-        phase failed is left out. So are problems that could not be made.
-        """
-        suite = SUITES.get(self.rows[0].suite) if self.rows else None
-        of_tasks = suite is not None and suite.of_tasks
-        found: dict[str, dict[tuple[str, int], list[ResultRow]]] = {}
-        for row in filter(attrgetter("made"), self.rows):
-            problem = row.item if of_tasks else row.problem
-            found.setdefault(row.planner, {}).setdefault((problem, row.seed), []).append(row)
-        counted = _timed_phases if of_tasks else tuple
-        return {
-            planner: {key: kept for key, rows in runs.items() if (kept := counted(rows))}
-            for planner, runs in found.items()
-        }
-
-
-def _timed_phases(task: Rows) -> Rows:
-    """Return the rows of the phases that the paper times; none if another phase failed."""
-    timed = [row for row in task if split_problem(row.problem).phase in PAPER_PHASES]
-    others = [row for row in task if row not in timed and not row.solved]
-    untimed_failure = any(row.fail_reason is not FailReason.NOT_REACHED for row in others)
-    return () if untimed_failure else timed
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,6 +61,8 @@ class Comparison:
     paper: float | None  # the paper's ratio, or its difference of shares
     word: Word
     effect: Effect | None = None  # of ratios, at the published prices and without networks
+    within: Within | None = None  # of times: the shares solved within the same time
+    others: tuple[Word, ...] = ()  # words within the bootstrap's error of a border
     gain: Interval | None = None  # of shares
     # the ratio or the difference of shares, where there are too few problems for a word
     few: Interval | None = None
@@ -103,14 +72,19 @@ class Comparison:
     seconds: float = 0.0  # both planners' time for a problem on this machine [s]
 
     @property
+    def told(self) -> str:
+        """The word, and others that the bootstrap does not exclude."""
+        return " or ".join((self.word, *self.others))
+
+    @property
     def cells(self) -> list[str]:
         """The paper's number, both statistics and the word."""
         if self.gain is not None:
             paper = "–" if self.paper is None else points(Interval(self.paper, None, None, 0))
-            return [paper, points(self.few or self.gain), "–", str(self.word)]
+            return [paper, points(self.few or self.gain), "–", self.told]
         paper = "–" if self.paper is None else f"{self.paper:.2f}"
-        means, geometric = ("–", "–") if self.effect is None else map(estimate, self.effect)
-        return [paper, estimate(self.few) if self.few else means, geometric, str(self.word)]
+        means, geometric = ("–", "–") if self.effect is None else map(estimate, self.effect[:2])
+        return [paper, estimate(self.few) if self.few else means, geometric, self.told]
 
     @property
     def number(self) -> str:
@@ -142,12 +116,30 @@ class JudgedClaim:
     comparisons: tuple[Comparison, ...]
     evidence: tuple[Evidence, ...]
 
+    @cached_property
+    def deciding(self) -> tuple[Comparison, ...]:
+        """The comparisons with the first baseline of the sentence, which give its word."""
+        first = self.claim.baselines[:1]
+        return tuple(item for item in self.comparisons if item.baseline in first)
+
+    @property
+    def words(self) -> tuple[Word, ...]:
+        """The word of the claim, and others that the bootstrap does not exclude."""
+        if self.claim.untestable or not self.deciding:
+            return (Word.UNTESTABLE if self.claim.untestable else Word.NO_ROWS,)
+        of_each = [(item.word, *item.others) for item in self.deciding]
+        return tuple(dict.fromkeys(map(rule.weakest, product(*of_each))))
+
     @property
     def word(self) -> str:
-        """Word of the claim, see `rule.claim_word`."""
-        if self.claim.untestable:
-            return str(Word.UNTESTABLE)
-        return rule.claim_word([item.word for item in self.comparisons] or [Word.NO_ROWS])
+        """The words as text."""
+        return " or ".join(self.words)
+
+    @property
+    def to_decide(self) -> str:
+        """The largest number of problems that an inconclusive comparison of it needs."""
+        needed = [item for item in self.deciding if item.needed is not None]
+        return max(needed, key=attrgetter("needed")).to_decide if needed else "–"
 
 
 def sentence_level() -> float:
@@ -156,10 +148,13 @@ def sentence_level() -> float:
 
 
 def judged_claims(found: Mapping[str, Evidence]) -> list[JudgedClaim]:
-    """Judge every claim; found: results directories by name."""
+    """Judge every claim by the rows that count; found: results directories by name."""
     judged = []
+    counted = {
+        name: found[name].judged for claim in CLAIMS for name in claim.suites if name in found
+    }
     for claim in CLAIMS:
-        own = tuple(found[name] for name in claim.suites if name in found)
+        own = tuple(counted[name] for name in claim.suites if name in counted)
         complete = bool(own) and len(own) == len(claim.suites)
         made = comparisons(claim, own, sentence_level()) if complete else ()
         judged.append(JudgedClaim(claim, tuple(made), own))
@@ -176,7 +171,7 @@ def comparisons(claim: Claim, own: Sequence[Evidence], level: float) -> list[Com
     """
     made = []
     for planner, baseline in product(claim.planners, claim.baselines):
-        parts = [_runs(item, planner, baseline) for item in own]
+        parts = [both_ran(item, planner, baseline) for item in own]
         if all(parts):
             compare = _compared_shares if claim.is_share else _compared
             made.append(compare(claim, planner, baseline, parts, level))
@@ -184,9 +179,10 @@ def comparisons(claim: Claim, own: Sequence[Evidence], level: float) -> list[Com
 
 
 Both = Sequence[tuple[str, Rows, Rows]]  # problem, run of the planner, run of the baseline
+Sides = tuple[np.ndarray, ...]  # values of the planner, and of the baseline, by price and problem
 
 
-def _runs(evidence: Evidence, planner: str, baseline: str) -> Both:
+def both_ran(evidence: Evidence, planner: str, baseline: str) -> Both:
     """Return the runs of problems that both planners tried."""
     ours, other = (evidence.runs.get(name, {}) for name in (planner, baseline))
     return [(key[0], rows, other[key]) for key, rows in ours.items() if key in other]
@@ -196,10 +192,18 @@ def _solved(run: Rows) -> bool:
     return all(row.solved for row in run)
 
 
-def _cost(run: Rows, value: Value) -> float | None:
-    """Return the cost of a run in the paper's currency [s], at most the cut-off of each phase."""
-    costs = [value(row) if row.solved else PAPER_CUTOFF_S for row in run]
-    return None if None in costs else sum(min(x, PAPER_CUTOFF_S) for x in costs if x is not None)
+def cost_of(run: Rows, value: Value) -> float | None:
+    """Return the cost of a solved run in the paper's currency [s]; None for a failed one.
+
+    A phase costs at most the cut-off: a run ends after the iteration that passes it.
+    """
+    return _size(run, lambda row: None if (x := value(row)) is None else min(x, PAPER_CUTOFF_S))
+
+
+def cost_sides(runs: Both) -> np.ndarray:
+    """Return costs (2, n) of the planner and of the baseline [s]; NaN: not solved."""
+    costs = [[cost_of(run, VALUES["search_cost"]) for run in pair] for _, *pair in runs]
+    return np.array(costs, dtype=float).T
 
 
 def _size(run: Rows, value: Value) -> float | None:
@@ -208,16 +212,19 @@ def _size(run: Rows, value: Value) -> float | None:
     return sum(x for x in sizes if x) if _solved(run) and None not in sizes else None
 
 
+def published_number(claim: Claim, planner: str) -> float | None:
+    """Return the paper's number of a planner for the measure of a claim."""
+    for item in published_of(claim.suites[0]) if claim.suites else ():
+        if item.metric == claim.paper and IN_OMPL.get(item.planner, item.planner) == planner:
+            return float(item.value)
+    return None
+
+
 def paper_number(claim: Claim, planner: str, baseline: str) -> float | None:
     """Return the paper's ratio of a planner to a baseline, or its difference of shares."""
-    numbers = {
-        IN_OMPL.get(item.planner, item.planner): float(item.value)
-        for item in (published_of(claim.suites[0]) if claim.suites else ())
-        if item.metric == claim.paper
-    }
-    if planner not in numbers or baseline not in numbers:
+    ours, other = (published_number(claim, name) for name in (planner, baseline))
+    if ours is None or other is None:
         return None
-    ours, other = numbers[planner], numbers[baseline]
     return (ours - other) / 100.0 if claim.is_share else ours / other
 
 
@@ -245,7 +252,7 @@ def _compared_shares(
     needed, few = None, None
     if gain.low is None:
         few = rule.few_gain(*solved)
-    if word is Word.OPEN and gain.n >= rule.FEWEST_PROBLEMS:
+    if word is Word.OPEN and gain.n >= FEWEST_PROBLEMS:
         needed = max(gain.n + 1, rule.shares_needed(*solved, level))
     return replace(found, count=len(runs), word=word, gain=gain, few=few, needed=needed)
 
@@ -256,40 +263,50 @@ def _compared(
     found = _unjudged(claim, planner, baseline, parts)
     # a number that contradicts its sentence is none
     reached = None if found.paper is None or found.paper >= 1.0 else found.paper
-
-    @cache
-    def effect(value: str) -> Effect:
-        pairs = _pairs(claim, parts, VALUES[value])
-        effects = [Effect.of(*_sides(values), level) for values in pairs.values()]
-        if not claim.pooled:
-            return effects[0]
-        known = [item for item in effects if item.means.low is not None]
-        if len(known) < 2:
-            return Effect.of((), (), level)
-        return Effect(*(rule.pooled(side, level, level) for side in zip(*known, strict=True)))
-
     timed = claim.measure == "cost"
-    main = COSTS["0 s, as published"] if timed else LENGTHS[claim.measure]
-    values = [pair for kind in _pairs(claim, parts, VALUES[main]).values() for pair in kind]
-    if not values:
+    prices = [*COSTS.values(), "search_cost_pybullet"] if timed else [LENGTHS[claim.measure]]
+    kinds = _values(claim, parts, prices)
+    if not kinds:
         return found
-    word, words, pybullet, needed = rule.word_of(effect(main), reached), {}, None, None
-    few = rule.few_ratio(*_sides(values)) if effect(main).means.low is None else None
+    effects = _effects(claim, [*kinds.values()], level)
+    own, other = (np.concatenate(sides, axis=1) for sides in zip(*kinds.values(), strict=True))
+    within: list[Within | None] = [None] * len(prices)
     if timed:
-        words = {name: rule.word_of(effect(cost), reached) for name, cost in COSTS.items()}
-        word = rule.word_on_all_hardware(words)
-        cheap = effect("search_cost_pybullet")
-        pybullet = cheap, rule.word_of(cheap, reached)
-    if word is Word.OPEN and not claim.pooled and len(values) >= rule.FEWEST_PROBLEMS:
-        sides = _sides(values)
-        # an effect that excludes 1 can be too wide for a word
-        sizes = rule.problems_needed(*sides, level), rule.problems_for_width(*sides, level)
-        needed = max(len(values) + 1, *sizes)
+        within = [
+            solved_within(*sides, claim.limit, level) for sides in zip(own, other, strict=True)
+        ]
+    judged = list(zip(effects, within, strict=True))
+    count = own.shape[1]
+    words, pybullet = {}, None
+    if timed:
+        *judged, cheap = judged
+        pybullet = cheap[0], rule.word_of(cheap[0], reached, cheap[1])
+        words = {
+            name: rule.word_of(made, reached, shares)
+            for name, (made, shares) in zip(COSTS, judged, strict=True)
+        }
+    word, others = rule.word_of_prices(
+        [made for made, _ in judged], reached, [shares for _, shares in judged]
+    )
+    effect, shares = judged[0]
+    few = rule.few_ratio(own[0], other[0]) if effect.means.low is None else None
+    needed = None
+    if Word.OPEN in (word, *others) and effect.means.low is not None:
+        needed = (
+            rule.pooled_needed(effect.means, count, level)
+            if claim.pooled
+            else rule.problems_needed(own[0], other[0], level)
+        )
+        if shares is not None and not shares.not_fewer:
+            needed = max(needed, shares.needed)
+        needed = max(needed, count + 1)
     return replace(
         found,
-        count=len(values),
+        count=count,
         word=word,
-        effect=effect(main),
+        others=others,
+        effect=effect,
+        within=shares,
         few=few,
         words=words,
         pybullet=pybullet,
@@ -297,23 +314,36 @@ def _compared(
     )
 
 
-def _pairs(
-    claim: Claim, parts: Sequence[Both], value: Value
-) -> dict[str, list[tuple[float, float]]]:
-    """Return values of both planners on each problem, by kind of problem if kinds are pooled."""
-    of_run = _cost if claim.measure == "cost" else _size
-    found: dict[str, list[tuple[float, float]]] = {}
+def _effects(claim: Claim, kinds: Sequence[Sides], level: float) -> list[Effect]:
+    """Return the effect at each price; those of kinds are pooled if the claim says so."""
+    by_kind = [Effect.of_prices(own, other, level) for own, other in kinds]
+    if not claim.pooled:
+        return by_kind[0]
+    made = []
+    for effects in zip(*by_kind, strict=True):
+        known = [item for item in effects if item.means.low is not None]
+        unknown = Effect.of((), (), level)
+        made.append(rule.pooled(known, level) if len(known) > 1 else unknown)
+    return made
+
+
+def _values(claim: Claim, parts: Sequence[Both], prices: Sequence[str]) -> dict[str, Sides]:
+    """Return values of both planners by kind of problem, if kinds are pooled.
+
+    Costs are of all problems that both tried, lengths of those that both solved.
+    """
+    timed = claim.measure == "cost"
+    of_run = cost_of if timed else _size
+    found: dict[str, list[list[list[float]]]] = {}
     for problem, *runs in (item for part in parts for item in part):
-        own, other = (of_run(run, value) for run in runs)
-        if own and other:
-            kind = split_problem(problem).phase if claim.pooled else ""
-            found.setdefault(kind, []).append((own, other))
-    return found
-
-
-def _sides(pairs: Sequence[tuple[float, float]]) -> tuple[list[float], list[float]]:
-    """Return the planner's values, and the baseline's."""
-    return [own for own, _ in pairs], [other for _, other in pairs]
+        sides = [[of_run(run, VALUES[price]) for price in prices] for run in runs]
+        solved = [timed and not _solved(run) for run in runs]
+        if any(None in side and not failed for side, failed in zip(sides, solved, strict=True)):
+            continue
+        kind = split_problem(problem).phase if claim.pooled else ""
+        numbers = [[math.nan if x is None else x for x in side] for side in sides]
+        found.setdefault(kind, []).append(numbers)
+    return {kind: tuple(np.array(values).transpose(1, 2, 0)) for kind, values in found.items()}
 
 
 def _seconds(parts: Sequence[Both]) -> float:
@@ -369,9 +399,9 @@ def task_lines(evidence: Evidence) -> Lines:
     numbers = {(IN_OMPL.get(x.planner, x.planner), x.metric): x.value for x in published}
     metrics = {"planning_time": "planning", "execution_time": "execution", "total_time": "total"}
     heads = (f"{name} [s], {who}" for name in metrics.values() for who in ("paper", "here"))
-    lines = [["planner", "tasks", *heads]]
+    lines = [["planner", "tasks solved", *heads]]
     for planner, runs in evidence.runs.items():
-        planning = [_cost(run, VALUES["search_cost"]) for run in runs.values()]
+        planning = [cost_of(run, VALUES["search_cost"]) for run in runs.values()]
         moving = [_size(run, VALUES["execution_time"]) for run in runs.values()]
         pairs = zip(planning, moving, strict=True)
         total = [a + b for a, b in pairs if a is not None and b is not None]
@@ -380,7 +410,8 @@ def task_lines(evidence: Evidence) -> Lines:
         for metric, values in zip(metrics, columns, strict=True):
             mean = problem_mean([[x] for x in values if x is not None])
             cells += [str(numbers.get((planner, metric), "–")), estimate(mean)]
-        lines.append([f"`{planner}`", str(len(runs)), *cells])
+        tasks = f"{len(runs) - planning.count(None)} of {len(runs)}"
+        lines.append([f"`{planner}`", tasks, *cells])
     return lines
 
 
@@ -407,33 +438,3 @@ def updated_codes(folder: Path) -> list[Pair]:
             if line["code"] != "goal" and after > 0.0 < before:
                 codes.append((line["problem"], (after, before)))
     return [Pair(*of_it) for of_it in grouped(codes).items()]
-
-
-def profiles(found: Mapping[str, Evidence]) -> list[str]:
-    """Return the profiles of rows that are too small for verdicts: all except "full"."""
-    records = [session for item in found.values() for session in sessions(item.record)]
-    named = dict.fromkeys(session.get("profile") for session in records)
-    return [name for name in named if name and name != "full"]
-
-
-def banner(found: Mapping[str, Evidence]) -> str:
-    """Return a warning if a profile of the rows is too small for verdicts, else ""."""
-    small = profiles(found)
-    if not small:
-        return ""
-    return (
-        f"These rows were made with --profile {', '.join(small)}, which is a quick trial: few "
-        "problems and wide intervals. Verdicts on the paper need --profile full."
-    )
-
-
-def evidence_below(results: Path) -> dict[str, Evidence]:
-    """Return the results directories below a folder, by name."""
-    folders = sorted(path.parent for path in Path(results).glob(f"*/{PROVENANCE_FILE}"))
-    return {folder.name: read_evidence(folder) for folder in folders}
-
-
-def read_evidence(folder: Path) -> Evidence:
-    """Return rows and provenance of a results directory."""
-    rows = read_rows(folder / RUNS_FILE) if (folder / RUNS_FILE).is_file() else []
-    return Evidence(folder, without_ended(rows), ProvenanceFile(folder).read())

@@ -18,8 +18,10 @@ from cvqmpt_lab.benchmarks.results.provenance import (
 )
 from cvqmpt_lab.benchmarks.results.row import RUNS_FILE, read_rows
 from cvqmpt_lab.paper_tables import pages
+from cvqmpt_lab.paper_tables.answer import answer_parts, whole_word
 from cvqmpt_lab.paper_tables.citation import citation
-from cvqmpt_lab.paper_tables.claims import Evidence, JudgedClaim
+from cvqmpt_lab.paper_tables.claims import JudgedClaim
+from cvqmpt_lab.paper_tables.evidence import Evidence
 from cvqmpt_lab.paper_tables.quoted import Quoted, what_to_use
 from cvqmpt_lab.paper_tables.rendering import rendered_tables
 from cvqmpt_lab.paper_tables.statements import PUBLISHED
@@ -147,7 +149,7 @@ def planner_table() -> str:
 def committed_pages(
     found: Mapping[str, Evidence], claims: Sequence[JudgedClaim]
 ) -> dict[Path, str]:
-    """Return the page of claims and, in a checkout, README, results.md, CITATION.cff, by path."""
+    """Return the page of claims and, in a checkout, README, docs and CITATION.cff, by path."""
     texts = {pages.PAGE: pages.page_text(found, claims, pages.PAGE.parent)}
     if in_checkout():
         quoted = Quoted(found)
@@ -155,6 +157,14 @@ def committed_pages(
             "results.md.j2",
             quoted=quoted,
             answer=pages.answer_text(found, claims, "", "../paper_tables/README.md", more=False),
+        )
+        parts_of_answer = answer_parts(claims)
+        texts[DOCS / "paper.md"] = pages.rendered(
+            "paper.md.j2",
+            quoted=quoted,
+            answer=parts_of_answer,
+            whole=whole_word(parts_of_answer),
+            summary=pages.summary_lines(claims),
         )
         parts = {
             README: {
@@ -178,9 +188,11 @@ def committed_pictures(
     """Return pictures of committed rows: what to use, comparisons of claims, cost of a check."""
     from cvqmpt_lab.paper_tables import plots  # matplotlib takes a second to import
 
+    timed = next(item.claim for item in claims if item.claim.answers == "Time")
     drawn = {
         "use.png": plots.advice(what_to_use(Quoted(found))),
         "forest.png": plots.forest(claims),
+        "curves.png": plots.curves(by_planner(found[pages.TABLE_I].rows, ()), timed.limit),
         "cost.png": plots.cost_curves(by_planner(found["place-task-seconds"].rows, ())),
     }
     return {DOCS / name: picture for name, picture in drawn.items()}

@@ -1,9 +1,10 @@
 """Table of the paper's experiment inside OMPL: Table I in the paper's currency and statistic.
 
-Cost is priced work, see `search.work.PRICES`; a failed run counts as the paper's cut-off. Ratios
-follow the rule in docs/judgement.md: arithmetic means over problems with BCa intervals.
+Cost is priced work, see `search.work.PRICES`. Ratios follow the rule in docs/judgement.md:
+arithmetic means, each over its own solved problems, with BCa intervals.
 """
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import partial
@@ -13,10 +14,12 @@ from cvqmpt_lab.benchmarks.results.statistics import (
     CONFIDENCE,
     UNDEFINED,
     Interval,
+    ProblemKey,
     jointly_solved,
     problem_key,
 )
 from cvqmpt_lab.paper_tables import table_engine as table
+from cvqmpt_lab.paper_tables.bootstrap import ratio_of_means
 from cvqmpt_lab.paper_tables.layouts import group_table
 from cvqmpt_lab.paper_tables.measures import (
     VALUES,
@@ -24,54 +27,74 @@ from cvqmpt_lab.paper_tables.measures import (
     Rows,
     SuiteRuns,
     Value,
+    grouped,
     mean_of,
     median_of,
-    paired,
     problem_mean,
     share_of,
     solved,
 )
-from cvqmpt_lab.paper_tables.rule import FEWEST_PROBLEMS, ratio_of_means
 from cvqmpt_lab.paper_tables.statements import CBIRRT, IN_OMPL, UNIFORM, PublishedValue
 from cvqmpt_lab.paper_tables.table_engine import Column, SuiteTable
+from cvqmpt_lab.paper_tables.within import FEWEST_PROBLEMS
 from cvqmpt_lab.paper_tables.writers import Ratio
 
 PAPER_CUTOFF_S = 100.0
+TABLE_DRAWS = 10_000  # of the bootstrap; verdicts have more
+
+
+def capped(value: str) -> Value:
+    """Return a cost as a value of a row, at most the cut-off, which the last iteration can pass."""
+
+    def cost(row: ResultRow) -> float | None:
+        found = VALUES[value](row)
+        return None if found is None else min(found, PAPER_CUTOFF_S)
+
+    return cost
 
 
 def mean_cost(value: str) -> Measure:
-    """Return the arithmetic mean over problems as a measure; failed runs count as the cut-off."""
+    """Return the arithmetic mean over the problems that a planner solved as a measure."""
 
     def measure(rows: Rows, runs: SuiteRuns) -> Interval:
-        costs: dict[str, list[float]] = {}
-        for row in rows:
-            cost = VALUES[value](row) if row.solved else PAPER_CUTOFF_S
-            if cost is not None:
-                costs.setdefault(row.problem, []).append(min(cost, PAPER_CUTOFF_S))
-        return problem_mean([*costs.values()])
+        costs = [(row.problem, x) for row in rows if row.solved and (x := capped(value)(row))]
+        return problem_mean([*grouped(costs).values()])
 
     return measure
 
 
-def means_ratio(baseline: str, value: Value, cutoff: float | None) -> Measure:
+def solved_at(cost: float) -> Measure:
+    """Return the share of problems solved at a cost or less as a measure [%]."""
+    of = capped("search_cost")
+    return share_of(lambda row: row.solved and (of(row) or 0.0) <= cost)
+
+
+def means_ratio(baseline: str, value: Value, both: bool = False) -> Measure:
     """Return the ratio of arithmetic means to a baseline as a measure, with its BCa interval.
 
     Args:
         baseline: name of a planner.
         value: of a row.
-        cutoff: see `paired`.
+        both: whether both means are over the problems that both solved, as for lengths; otherwise
+            each is over those that its planner solved.
     """
+
+    def known(rows: Rows) -> dict[ProblemKey, float]:
+        found = {problem_key(row): value(row) if row.solved else math.nan for row in rows}
+        return {key: x for key, x in found.items() if x is not None}
 
     def measure(rows: Rows, runs: SuiteRuns) -> Interval:
         if rows[0].planner == baseline:
             return UNDEFINED
-        pairs = paired(rows, runs.baseline(baseline), value, cutoff=cutoff)
-        own, other = [pair.own for pair in pairs], [pair.other for pair in pairs]
+        own, other = known(rows), known(runs.baseline(baseline))
+        pairs = [(own[key], other[key]) for key in own if key in other]
+        if both:
+            pairs = [pair for pair in pairs if not math.isnan(sum(pair))]
         if not pairs:
             return UNDEFINED
-        if len(pairs) < FEWEST_PROBLEMS:
-            return Interval(sum(own) / sum(other), None, None, len(pairs))
-        return ratio_of_means(own, other, 1.0 - CONFIDENCE)
+        ours, theirs = zip(*pairs, strict=True)
+        found = ratio_of_means(ours, theirs, 1.0 - CONFIDENCE, TABLE_DRAWS)
+        return found if len(pairs) >= FEWEST_PROBLEMS else found._replace(low=None, high=None)
 
     return measure
 
@@ -86,32 +109,36 @@ def joint_mean(value: str) -> Measure:
     return measure
 
 
-def _ratios(label: str, value: str, cutoff: float | None = None) -> dict[str, Column]:
+def _ratios(label: str, name: str, value: Value, both: bool = False) -> dict[str, Column]:
     """Return the columns of a value's ratios to CBiRRT and to uniform samples."""
     return {
-        f"{value}_means_over_{name}": Column(
-            Ratio(f"{label} / {name}"), "1", means_ratio(name, VALUES[value], cutoff)
+        f"{name}_means_over_{baseline}": Column(
+            Ratio(f"{label} / {baseline}"), "1", means_ratio(baseline, value, both)
         )
-        for name in (CBIRRT, UNIFORM)
+        for baseline in (CBIRRT, UNIFORM)
     }
 
 
 COST_COLUMNS = {
     "accuracy": Column("solved [%]", "%", share_of(solved), "accuracy", best="most"),
     "search_cost_mean": Column("cost [s]", "s", mean_cost("search_cost"), "time"),
-    **_ratios("cost", "search_cost", PAPER_CUTOFF_S),
+    **_ratios("cost", "search_cost", capped("search_cost")),
+}
+WITHIN_COLUMNS = {
+    f"solved_within_{seconds}": Column(
+        f"solved within {seconds} s [%]", "%", solved_at(seconds), best="most"
+    )
+    for seconds in (10, 50)
 }
 PYBULLET_COLUMNS = {
     "search_cost_pybullet_mean": Column("cost [s]", "s", mean_cost("search_cost_pybullet")),
-    **_ratios("cost", "search_cost_pybullet", PAPER_CUTOFF_S),
+    **_ratios("cost", "search_cost_pybullet", capped("search_cost_pybullet")),
 }
 LENGTH_COLUMNS = {
     "raw_length_mean": Column("raw [rad]", "rad", joint_mean("raw_length")),
-    "ompl_length_mean": Column(
-        "simplified by OMPL [rad]", "rad", joint_mean("ompl_length"), "path_length"
-    ),
+    "ompl_length_mean": Column("simplified by OMPL [rad]", "rad", joint_mean("ompl_length")),
     "path_length_mean": Column("ours [rad]", "rad", joint_mean("path_length")),
-    **_ratios("simplified by OMPL", "ompl_length"),
+    **_ratios("simplified by OMPL", "ompl_length", VALUES["ompl_length"], both=True),
 }
 COUNT_COLUMNS = {
     "stored_vertices_mean": Column(
@@ -133,9 +160,9 @@ NOTES = (
     "in samples alone: longest motion as published (none is cut), one goal after the other, 2.5 s "
     "of cost each. `ompl-projected`, the paper's CBiRRT, has OMPL's longest motion and all goals.",
     "Cost: state checks, projections and Newton steps at the prices of the published code, 100 s "
-    "at most; a failed run counts as 100 s. Networks cost nothing there; their seconds on this "
-    "machine have a column. Means over problems; ratios of means with BCa intervals (bootstrap) "
-    "from 30 problems on.",
+    "at most. Networks cost nothing there; their seconds on this machine have a column. As in the "
+    "paper, means are over the problems that a planner solved, so read them beside the shares "
+    "solved. Ratios of means have BCa intervals (bootstrap) from 30 problems on.",
     "Lengths: means over problems that all planners with lengths solved (`ompl-mpnet` has none); "
     "ratios over those that both solved, which are more. "
     "OMPL's simplification, as in the published code, removes states and makes no shortcuts.",
@@ -149,7 +176,23 @@ def ompl_table(rows: Iterable[ResultRow], published: Sequence[PublishedValue] = 
     published = [
         replace(value, planner=IN_OMPL.get(value.planner, value.planner)) for value in published
     ]
-    columns = {**COST_COLUMNS, **PYBULLET_COLUMNS, **LENGTH_COLUMNS, **COUNT_COLUMNS}
+    columns = {
+        **COST_COLUMNS,
+        **WITHIN_COLUMNS,
+        **PYBULLET_COLUMNS,
+        **LENGTH_COLUMNS,
+        "solved_length_mean": Column(
+            "length [rad]", "rad", mean_of("ompl_length", "solved"), "path_length"
+        ),
+        **COUNT_COLUMNS,
+    }
+    judging = {
+        name: columns[name]
+        for name in (
+            *("accuracy", *WITHIN_COLUMNS, f"search_cost_means_over_{CBIRRT}"),
+            f"ompl_length_means_over_{CBIRRT}",
+        )
+    }
     runs = _joint_lengths(table.suite_runs(rows, published))
     found = table.entries(runs, columns, published)
     suite, size = runs.rows[0].suite, f"{len({row.problem for row in runs.rows})} problems"
@@ -157,11 +200,10 @@ def ompl_table(rows: Iterable[ResultRow], published: Sequence[PublishedValue] = 
         "accuracy": "accuracy",
         "time": "search_cost_mean",
         "vertices": "stored_vertices_mean",
-        "path_length": "ompl_length_mean",
+        "path_length": "solved_length_mean",
     }
     joint = f"{len(runs.joint)} problems that all planners with lengths solved"
     heads = [f"{name}, {who}".replace("_", " ") for name in metrics for who in ("paper", "here")]
-    heads[-1] = f"{heads[-1]}, on {len(runs.joint)} problems"
     paper = [["planner", *heads]]
     for item in found:
         cells = [[item.paper_cell(name), item.cell(column)] for name, column in metrics.items()]
@@ -172,7 +214,8 @@ def ompl_table(rows: Iterable[ResultRow], published: Sequence[PublishedValue] = 
         found,
         {
             f"{size}, at the prices of the published code": table.column_lines(found, COST_COLUMNS),
-            "The paper's Table I, and here": paper,
+            "The paper's Table I, and here, each planner over the problems that it solved": paper,
+            "Table I by the rule": table.column_lines(found, judging),
             "At the prices of PyBullet's kinematics": table.column_lines(found, PYBULLET_COLUMNS),
             f"Path lengths, means over {joint}": table.column_lines(found, LENGTH_COLUMNS),
             "Counts and times": table.column_lines(found, COUNT_COLUMNS),

@@ -22,19 +22,19 @@ from cvqmpt_lab.benchmarks.results.provenance import PROVENANCE_FILE, digests_in
 from cvqmpt_lab.benchmarks.results.row import ResultRow
 from cvqmpt_lab.paper_tables.answer import answer_parts, whole_word
 from cvqmpt_lab.paper_tables.beside import Judged, beside_lines, explained, repeated
+from cvqmpt_lab.paper_tables.bootstrap import DRAWS
 from cvqmpt_lab.paper_tables.claims import (
     Comparison,
-    Evidence,
     JudgedClaim,
-    banner,
-    evidence_below,
     judged_claims,
     mechanism_lines,
-    read_evidence,
+    points,
     sentence_level,
     task_lines,
     transfer_lines,
 )
+from cvqmpt_lab.paper_tables.evidence import Evidence, banner, evidence_below, read_evidence
+from cvqmpt_lab.paper_tables.failures import failure_lines
 from cvqmpt_lab.paper_tables.measures import (
     PUBLISHED_PRICES,
     REFERENCE,
@@ -54,8 +54,9 @@ from cvqmpt_lab.paper_tables.writers import BOLD, Lines, Ratio, estimate, markdo
 
 PAGE = PUBLISHED.parent / "README.md"
 OWN_PAGE, OWN_PICTURE = "claims.md", "claims.png"  # of own rows, in their folder
+TABLE_I, BY_RULE = "place-task-ompl", "Table I by the rule"
 PAPER_TABLES = {  # titles of the paper's tables on the page of claims, by results directory
-    "place-task-ompl": "Table I, place task",
+    TABLE_I: "Table I, place task",
     "place-task-published": "The same in the direction of the published code",
     "sensor-ompl": "Table I, sensed scenes",
     "multi-sequence-published": "Table II, multi-sequence task",
@@ -120,6 +121,7 @@ def reading(links: bool = True) -> list[str]:
     """
     numbers = {
         "sentences": sum(not claim.untestable for claim in CLAIMS),
+        "draws": f"{DRAWS:,}".replace(",", " "),
         "check": 1e3 * PUBLISHED_PRICES.state_check,
         "residual": 1e3 * PUBLISHED_PRICES.projection,
         "step": 1e3 * PUBLISHED_PRICES.newton_step,
@@ -132,15 +134,14 @@ def reading(links: bool = True) -> list[str]:
 
 
 def summary_lines(claims: Iterable[JudgedClaim]) -> Lines:
-    """Return a line for each claim: its first comparison, and the word of all of them."""
-    lines = [["claim", "first comparison", "paper", "here", "geometric mean", "verdict"]]
+    """Return a line for each claim: its first comparison, its word, and what would decide it."""
+    lines = [["claim", "first comparison", "paper", "here", "verdict", "to decide"]]
     for item in claims:
-        cells = ["–"] * 4
+        cells = ["–"] * 3
         if item.comparisons:
             first = item.comparisons[0]
-            paper, means, geometric, _ = first.cells
-            cells = [f"{first.planner} / {first.baseline}", paper, means, geometric]
-        lines.append([item.claim.title, *cells, item.word])
+            cells = [f"{first.planner} / {first.baseline}", *first.cells[:2]]
+        lines.append([item.claim.title, *cells, item.word, item.to_decide])
     return lines
 
 
@@ -148,10 +149,13 @@ def comparison_lines(comparisons: Iterable[Comparison]) -> Lines:
     """Return a line for each comparison of a claim, with the words for other prices."""
     lines = [
         ["planner", "against", "paper", "here", "geometric mean", "problems", "failed", "word"]
-        + ["word with slower networks", "if projections are cheap", "needed to decide"]
+        + ["within the same time, at worst", "word with slower networks"]
+        + ["if projections are cheap", "to decide"]
     ]
     for item in comparisons:
-        others = {f"{name}: {word}" for name, word in item.words.items() if word is not item.word}
+        first = next(iter(item.words.values()), item.word)  # with networks that cost nothing
+        others = [f"{name}: {word}" for name, word in item.words.items() if word is not first]
+        others = [str(first), *others] if others else []
         cheap = "–"
         if item.pybullet is not None:
             effect, other = item.pybullet
@@ -159,10 +163,15 @@ def comparison_lines(comparisons: Iterable[Comparison]) -> Lines:
         *numbers, word = item.cells
         lines.append(
             [item.planner, item.baseline, *numbers, str(item.count), "{} / {}".format(*item.failed)]
-            + [word, "; ".join(sorted(others)) or "–", cheap]
+            + [word, within_text(item), "; ".join(others) or "–", cheap]
             + [item.to_decide]
         )
     return lines
+
+
+def within_text(item: Comparison) -> str:
+    """Return the difference of solved shares at the time that is least favourable."""
+    return f"{points(item.within.gain)} at {item.within.time:.0f} s" if item.within else "–"
 
 
 def answer_text(
@@ -196,10 +205,10 @@ def answer_text(
 
 
 def counted(claims: Sequence[JudgedClaim]) -> str:
-    """Return the number of claims for each word, such as "3 replicated, 1 mixed"."""
-    count = Counter(item.word.partition(" (")[0] for item in claims)
-    words = ["replicated", "mixed", *(str(word) for word in list(Word)[1:])]
-    return ", ".join(f"{count[word]} {word}" for word in words if count[word])
+    """Return the number of claims for each word, such as "3 replicated, 1 opposite"."""
+    count = Counter(item.word for item in claims)
+    order = sorted(count, key=lambda text: [*Word].index(Word(text.partition(" or ")[0])))
+    return ", ".join(f"{count[word]} {word}" for word in order)
 
 
 def page_text(
@@ -231,8 +240,15 @@ def page_text(
         level=100.0 * (1.0 - sentence_level()),
         reading=reading(links=root == PAGE.parent),
         claims=claims,
-        titles=PAPER_TABLES,
-        tables={name: paper_lines(found[name]) for name in PAPER_TABLES if name in found},
+        tables={
+            PAPER_TABLES[name]: paper_lines(found[name]) for name in PAPER_TABLES if name in found
+        },
+        by_rule=paper_lines(found[TABLE_I], BY_RULE) if TABLE_I in found else [],
+        failures={
+            item.claim.title: failure_lines(item.claim, item.evidence[0], sentence_level())
+            for item in claims
+            if item.comparisons and item.claim.answers == "Time"
+        },
         transfer=transfer_lines(found["place-task-seconds"])
         if "place-task-seconds" in found
         else [],
@@ -262,12 +278,18 @@ def forest_of(claims: Sequence[JudgedClaim], committed: Judged | None) -> bytes:
     return plots.forest(claims, committed.claims if committed else ())
 
 
-def paper_lines(evidence: Evidence) -> Lines:
-    """Return the paper's table beside these rows, in the paper's currency."""
+def paper_lines(evidence: Evidence, start: str = "The paper's") -> Lines:
+    """Return the paper's table beside these rows, in the paper's currency.
+
+    start: how the title of the table begins.
+    """
     if SUITES[evidence.rows[0].suite].of_tasks:
         return task_lines(evidence)
-    sections = table_of(evidence.rows).sections
-    return next(lines for title, lines in sections.items() if title.startswith("The paper's"))
+    return next(
+        lines
+        for title, lines in table_of(evidence.rows).sections.items()
+        if title.startswith(start)
+    )
 
 
 def _made_by(evidence: Evidence, root: Path) -> dict[str, Any]:

@@ -15,7 +15,12 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from cvqmpt_lab.benchmarks.results.row import ResultRow
-from cvqmpt_lab.benchmarks.results.statistics import Interval, ProblemKey, problem_key
+from cvqmpt_lab.benchmarks.results.statistics import (
+    CONFIDENCE,
+    Interval,
+    ProblemKey,
+    problem_key,
+)
 from cvqmpt_lab.paper_tables.claims import JudgedClaim
 from cvqmpt_lab.paper_tables.measures import (
     PUBLISHED_PRICES,
@@ -25,7 +30,10 @@ from cvqmpt_lab.paper_tables.measures import (
     paired,
     time_at,
 )
+from cvqmpt_lab.paper_tables.ompl_table import PAPER_CUTOFF_S, capped
 from cvqmpt_lab.paper_tables.rule import Word
+from cvqmpt_lab.paper_tables.statements import CBIRRT, CVQ, OPT, UNIFORM
+from cvqmpt_lab.paper_tables.within import MARGIN, curve_half_band, gain_band
 from cvqmpt_lab.planning.by_name import declared
 from cvqmpt_lab.vqmpt.sampler_choice import PREFIX
 
@@ -169,6 +177,48 @@ def forest(claims: Sequence[JudgedClaim], committed: Sequence[JudgedClaim] = ())
     if known:
         marks.append(Line2D([], [], marker="s", label="committed rows", **style))
     figure.legend(handles=marks, loc="outside upper center", ncols=3, frameon=False)
+    return figure_bytes(figure, "png", 140)
+
+
+@matplotlib.rc_context(STYLE)
+def curves(groups: Groups, limit: float) -> bytes:
+    """Share solved against the paper's time by planner, and CVQ-MPT less CBiRRT, as png.
+
+    Simultaneous bands of 95 %.
+
+    Args:
+        groups: rows by planner, those of one suite with one seed.
+        limit: the smaller of the limits of CVQ-MPT and CBiRRT [s].
+    """
+    cost = capped("search_cost")
+    times = {
+        name: {row.problem: cost(row) if row.solved else np.nan for row in groups[name]}
+        for name in (CBIRRT, UNIFORM, CVQ, OPT)
+        if name in groups
+    }
+    figure = Figure(figsize=(WIDTH, 5.2), layout="constrained")
+    above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
+    for name, known in times.items():
+        values = np.array([*known.values()], dtype=float)
+        ends = np.append(np.sort(values[np.isfinite(values)]), PAPER_CUTOFF_S)
+        shares = np.append(np.arange(1, len(ends)), len(ends) - 1) / len(values)
+        half = curve_half_band(len(values), 1.0 - CONFIDENCE)
+        style = line_style(name)
+        above.step(ends, 100.0 * shares, where="post", label=name, **style)
+        band = [100.0 * np.clip(shares + side, 0.0, 1.0) for side in (-half, half)]
+        above.fill_between(ends, *band, step="post", color=style["color"], alpha=0.1, linewidth=0)
+    both = [name for name in times[CVQ] if name in times[CBIRRT]]
+    own, other = (np.array([times[x][name] for name in both], float) for x in (CVQ, CBIRRT))
+    at, gains, low, high = gain_band(own, other, limit, 1.0 - CONFIDENCE)
+    below.step(at, 100.0 * gains, where="post", color="black", linewidth=1.4)
+    below.fill_between(at, 100.0 * low, 100.0 * high, step="post", color="0.8", linewidth=0)
+    below.axhline(0.0, color="black", linewidth=0.8)
+    below.axhline(-100.0 * MARGIN, color="black", linewidth=0.8, linestyle="--")
+    for axes in (above, below):
+        axes.axvline(limit, color="0.6", linewidth=0.8)
+    above.set_xlim(0.5, PAPER_CUTOFF_S)
+    _finish(above, "", "solved [%]")
+    _finish(below, "time at the prices of the published code [s]", f"{CVQ} less\n{CBIRRT} [points]")
     return figure_bytes(figure, "png", 140)
 
 

@@ -6,7 +6,7 @@ from math import inf
 
 from cvqmpt_lab.benchmarks.results.row import split_problem
 from cvqmpt_lab.benchmarks.results.statistics import Interval
-from cvqmpt_lab.paper_tables.claims import Evidence
+from cvqmpt_lab.paper_tables.evidence import Evidence
 from cvqmpt_lab.paper_tables.factorial_table import CONTRASTS
 from cvqmpt_lab.paper_tables.measures import (
     REFERENCE,
@@ -14,12 +14,14 @@ from cvqmpt_lab.paper_tables.measures import (
     Rows,
     SuiteRuns,
     censored,
+    grouped,
     mean_ratio,
     paired,
+    problem_mean,
     problem_median,
 )
 from cvqmpt_lab.paper_tables.motion_bench_table import LEFT_OUT
-from cvqmpt_lab.paper_tables.ompl_table import PAPER_CUTOFF_S, means_ratio
+from cvqmpt_lab.paper_tables.ompl_table import capped, means_ratio, solved_at
 from cvqmpt_lab.paper_tables.table_engine import suite_runs
 from cvqmpt_lab.paper_tables.writers import estimate, number
 
@@ -77,7 +79,7 @@ class Quoted:
     def means_ratio(self, name: str, planner: str, over: str, value: str = "search_cost") -> str:
         """Return the ratio of means of a cost in the paper's seconds or of a length.
 
-        Failed runs cost the paper's cut-off; lengths are over problems that both solved.
+        Costs are over the problems that each planner solved, lengths over those that both did.
 
         Args:
             name: name of the results directory.
@@ -85,10 +87,34 @@ class Quoted:
             over: planner of the divisor.
             value: one of `VALUES`.
         """
-        cutoff = None if value == "ompl_length" else PAPER_CUTOFF_S
-        measure = means_ratio(over, VALUES[value], cutoff)
+        of_length = value == "ompl_length"
+        measure = means_ratio(over, VALUES[value] if of_length else capped(value), of_length)
         runs = suite_runs(self.results[name].rows, ())
         return estimate(measure(self.rows(name, planner), runs))
+
+    def within(self, name: str, planner: str, cost: float) -> str:
+        """Return the share of problems solved at a cost in the paper's seconds or less, as text.
+
+        Args:
+            name: name of the results directory.
+            planner: name of the planner.
+            cost: [s].
+        """
+        rows = self.rows(name, planner)
+        return f"{solved_at(cost)(rows, suite_runs(rows, ())).estimate:.0f} %"
+
+    def mean(self, name: str, planner: str, value: str = "search_cost") -> str:
+        """Return the mean of a value over the problems that a planner solved.
+
+        Args:
+            name: name of the results directory.
+            planner: name of the planner.
+            value: one of `VALUES`; costs are at most the cut-off.
+        """
+        of = VALUES[value] if value == "ompl_length" else capped(value)
+        rows = self.rows(name, planner)
+        known = [(row.problem, x) for row in rows if row.solved and (x := of(row)) is not None]
+        return estimate(problem_mean([*grouped(known).values()]))
 
     def contrast(self, name: str, title: str, column: str = "work") -> str:
         """A cell of the contrasts of a factorial, by its title there."""

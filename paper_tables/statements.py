@@ -47,6 +47,8 @@ class Claim:
     paper: str  # name of the measure in the paper's table, or "" where it has no number
     similar: bool = False  # of shares: whether the claim is that not many fewer are solved
     pooled: bool = False  # whether effects of kinds of problems are pooled
+    # of times: the smaller limit of both planners, up to which shares are compared [s]
+    limit: float = 100.0
     untestable: str = ""  # why no rows can decide the claim, or ""
     remark: str = ""  # what a reader needs to interpret the numbers
     answers: str = ""  # part of the answer in one line that this claim gives, or ""
@@ -66,4 +68,8 @@ def _claim(item: dict[str, Any]) -> Claim:
 
 _FILE = tomllib.loads((PUBLISHED / "claims.toml").read_text(encoding="utf-8"))
 READING: list[str] = _FILE["reading"]
+# smallest number of the rule of random streams whose rows are judged, see `problem.STREAMS`
+STREAMS: int = _FILE["streams"]
+# first and last problem that are judged, by suite; all of a suite that is not named
+PROBLEMS: dict[str, list[int]] = _FILE.get("problems", {})
 CLAIMS = tuple(map(_claim, _FILE["claim"]))

@@ -9,8 +9,11 @@ from dataclasses import replace
 from itertools import product
 
 from cvqmpt_lab.benchmarks.results.statistics import CONFIDENCE, Interval
-from cvqmpt_lab.paper_tables.claims import Evidence, comparisons
-from cvqmpt_lab.paper_tables.statements import CBIRRT, CVQ, OPT, UNIFORM, Claim
+from cvqmpt_lab.paper_tables.bootstrap import ratio_of_means
+from cvqmpt_lab.paper_tables.claims import both_ran, cost_sides
+from cvqmpt_lab.paper_tables.evidence import Evidence
+from cvqmpt_lab.paper_tables.ompl_table import TABLE_DRAWS
+from cvqmpt_lab.paper_tables.statements import CBIRRT, CVQ, OPT, UNIFORM
 from cvqmpt_lab.paper_tables.writers import Lines, estimate
 
 SEEDS = (0, 1, 2)  # of the trainings; the shipped transformer has the first
@@ -45,19 +48,13 @@ def trained_ratios(found: Mapping[str, Evidence]) -> dict[tuple[str, str, str], 
         own = found[directory_of(suite, seed)]
         rows = [row for row in own.rows if row.planner in (CVQ, OPT)]
         rows += [row for row in found[suite].rows if row.planner in (CBIRRT, UNIFORM)]
-        cost = Claim(
-            title="three trainings",
-            sentence="",
-            suites=(suite,),
-            planners=(CVQ, OPT),
-            baselines=(CBIRRT, UNIFORM),
-            measure="cost",
-            paper="",
-        )
-        for made in comparisons(cost, [replace(own, rows=rows)], 1.0 - CONFIDENCE):
-            assert made.effect is not None  # every comparison of costs has one
-            key = (suite, made.planner, made.baseline)
-            ratios.setdefault(key, []).append(made.effect.means)
+        evidence = replace(own, rows=rows)
+        for planner, baseline in product((CVQ, OPT), (CBIRRT, UNIFORM)):
+            runs = both_ran(evidence, planner, baseline)
+            if runs:
+                ours, theirs = cost_sides(runs)
+                ratio = ratio_of_means(ours, theirs, 1.0 - CONFIDENCE, TABLE_DRAWS)
+                ratios.setdefault((suite, planner, baseline), []).append(ratio)
     return ratios
 
 

@@ -20,7 +20,7 @@ from cvqmpt_lab.collision.world import World
 from cvqmpt_lab.constraints.project import PROJECTION_STEPS
 from cvqmpt_lab.experiments.bench.paper_check import Placement, Simulator
 from cvqmpt_lab.experiments.bench.stage_times import CpuClock, Measured
-from cvqmpt_lab.paper_tables.rule import ratio_of_means
+from cvqmpt_lab.paper_tables.bootstrap import ratio_of_means
 from cvqmpt_lab.planning.pipeline import with_drawn_goals
 from cvqmpt_lab.planning.planners import planner_named
 from cvqmpt_lab.problem import PlanningProblem

@@ -58,7 +58,7 @@ def test_it_writes_rows_tables_verdicts_and_the_report_and_goes_on_where_it_was(
     told = zip(lines[1 : 1 + len(CLAIMS)], CLAIMS, strict=True)
     assert all(line.startswith(claim.title) for line, claim in told)
     by_title = {line[:35].strip(): line for line in lines}
-    number = r"0\.49 +\d\.\d+ \[[\d.]+, [\d.]+\], 2 cannot decide +0\.\d\d, mixed"
+    number = r"0\.49 +\d\.\d+ \[[\d.]+, [\d.]+\], 2 cannot decide +0\.\d\d, replicated"
     assert re.search(number, by_title["almost twice as fast"])
     assert re.search(r"1\.18 +not run +1\.\d\d,", by_title["sensed scenes: outperforms"])
     assert any("same 4 runs, 4 have the same result" in line for line in lines)

@@ -19,7 +19,6 @@ from cvqmpt_lab.base.errors import RunStoreError
 from cvqmpt_lab.benchmarks.results.row import RUNS_FILE, read_rows, write_rows
 from cvqmpt_lab.benchmarks.results.store import PARTIAL_FILE, RunStore
 from cvqmpt_lab.paper_tables import committed, pages
-from cvqmpt_lab.paper_tables.claims import evidence_below, judged_claims
 from cvqmpt_lab.paper_tables.committed import RESULTS
 from cvqmpt_lab.paper_tables.layouts import place_table
 from cvqmpt_lab.paper_tables.motion_bench_table import class_lines
@@ -141,17 +140,6 @@ def test_tables_of_own_planners_have_no_paper_unique_labels_and_the_best_bold(tm
     assert len(re.search(r"\\caption{(.*?)}\\label", latex)[1]) < 120
     assert re.search(r"\| mine0 +\| 100 +\| \*\*1.40\*\*", texts["table.md"])
     assert "**" not in "".join(render_directory(tmp_path / "runs_a").brief)
-
-
-@pytest.fixture(scope="module")
-def committed_evidence():
-    """The committed rows, which take seconds to read."""
-    return evidence_below(RESULTS)
-
-
-@pytest.fixture(scope="module")
-def committed_claims(committed_evidence):
-    return judged_claims(committed_evidence)
 
 
 def test_the_committed_page_and_the_readme_are_what_the_command_writes_from_the_rows(

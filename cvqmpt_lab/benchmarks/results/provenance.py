@@ -110,6 +110,11 @@ def sessions(record: Mapping[str, Any]) -> list[Mapping[str, Any]]:
     return [record, *record.get("continued", [])]
 
 
+def streams_of(session: Mapping[str, Any]) -> int:
+    """Return the number of the rule that seeds random streams, see `problem.STREAMS`."""
+    return int(session.get("streams") or 1)
+
+
 def digests_in(record: Mapping[str, Any], field: str) -> dict[str, str]:
     """Return digests by name from all sessions of a record; field: one of `SESSION_DIGESTS`."""
     found: dict[str, str] = {}
@@ -125,6 +130,8 @@ def unlike_settings(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[s
         known, used = digests_in(before, field), digests_in(now, field)
         both = known.keys() & used.keys()
         old[field], new[field] = ({name: x[name] for name in both} for x in (known, used))
+    for settings, record in ((old, before), (new, now)):
+        settings["rule of random streams"] = min(map(streams_of, sessions(record)))
     return differences(old, new)
 
 
@@ -154,7 +161,7 @@ class ProvenanceFile:
             **dict.fromkeys(("versions", "arithmetic"), Mapping[str, Any]),
             "command": tuple[str, ...] | None,
             "git_dirty": bool | None,
-            "cpu_count": int | None,
+            **dict.fromkeys(("cpu_count", "streams"), int | None),
             "wall_s": float,
             **dict.fromkeys(SESSION_DIGESTS, Mapping[str, Any]),
         }

@@ -196,6 +196,16 @@ def test_provenance_names_versions_machine_and_seeds():
     assert record["cpu_count"] >= 1 and record["date_utc"].endswith("+00:00")
 
 
+def test_rows_of_another_rule_of_random_streams_are_refused_by_name(tmp_path):
+    """Records without the field are of rule 1, by the start alone."""
+    with RunStore.open(tmp_path, {"suite": "place"}, {}) as store:
+        store.append([a_row()])
+    with pytest.raises(RunStoreError, match=r"rule of random streams was 1, now 2.*another --out"):
+        RunStore.open(tmp_path, {"suite": "place"}, {"streams": 2}).__enter__()
+    with RunStore.open(tmp_path, {"suite": "place"}, {}) as store:
+        store.append([a_row("p2")])
+
+
 def test_a_malformed_record_is_refused_by_field(tmp_path):
     file = ProvenanceFile(tmp_path)
     file.create({"cutoff_s": 10.0}, provenance(["cvqmpt"], [0], {"mpnet": "abc"}))
