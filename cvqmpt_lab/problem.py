@@ -428,10 +428,8 @@ class PlanningProblem(Document):
         plain = [
             self.scene.digest.hex(),
             self.start.tolist(),
-            [
-                getattr(member, "name", "") or MemberForm().write(member)
-                for member in self.constraint
-            ],
+            [to_plain(region) for region in regions_of(self.constraint)],
+            constraint_text(self.robot, functions_of(self.constraint)),
             [digest_of(item).hex() for item in self.attachments],
             [region and to_plain(region) for region in (self.goal_region, self.start_region)],
             self.clearance,
