@@ -170,6 +170,7 @@ def test_mouse_keys_and_buttons_turn_zoom_step_and_play(solution, tmp_path):
         press(tab, " ")
         assert tab.value("playing") is None
         full = "Math.abs(canvas.width - canvas.clientWidth) < 2"
+        until(lambda: tab.value(f"!busy && {full}"))
         assert tab.value(f"draw(true); {full}") is False, "coarse while it moves"
         until(lambda: tab.value(full))
         tab.click("top", lambda: tab.value("camera.elevation") == 1.55)
