@@ -98,7 +98,7 @@ def _new(args: argparse.Namespace) -> None:
     functions = [function_of_option(text) for text in args.constraint]
     if args.task is not None:
         refuse_given(args, ["constraint"], "goes with a problem; a task states its own constraints")
-        kind, made = Task, task_template(robot, args.task)
+        kind, made = Task, task_template(robot, args.task, ProgressBar(f"new {args.task}"))
     else:
         kind, made = PlanningProblem, problem_template(robot, functions)
     write_text(writable_file(path), json_text({**made, "name": path.stem}) + "\n")

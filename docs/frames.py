@@ -65,9 +65,21 @@ def with_frames(problem: PlanningProblem, frames: dict[str, np.ndarray]) -> Imag
     return image
 
 
+def few_colours(image: Image.Image) -> Image.Image:
+    """Return an image with 256 colours: white, most for smooth surfaces, some for rare ones."""
+    smooth = image.quantize(175, Image.Quantize.MEDIANCUT).getpalette() or []
+    rare = image.quantize(80, Image.Quantize.MAXCOVERAGE).getpalette() or []
+    palette = Image.new("P", (1, 1))
+    palette.putpalette([255, 255, 255, *smooth, *rare])
+    made = image.quantize(palette=palette, dither=Image.Dither.NONE)
+    # the search in a palette is approximate, and white must be that of the page
+    indices = np.where((np.asarray(image) == 255).all(axis=2), 0, np.asarray(made))
+    made.putdata(indices.ravel().tolist())
+    return made
+
+
 FIGURES = {"frames": tool, "region": region}
 
 if __name__ == "__main__":
     for name, draw in FIGURES.items():
-        image = draw().quantize(128, Image.Quantize.MAXCOVERAGE, kmeans=3)
-        image.save(FOLDER / f"{name}.png", optimize=True)
+        few_colours(draw()).save(FOLDER / f"{name}.png", optimize=True)

@@ -10,6 +10,7 @@ import runpy
 import tempfile
 from pathlib import Path
 
+from frames import few_colours
 from PIL import Image
 
 from cvqmpt_lab import draw
@@ -55,9 +56,7 @@ def main() -> None:
                 image = Image.new("RGB", whole, "white")
                 for k, each in enumerate(drawn):
                     image.paste(each, (k % columns * across, k // columns * high))
-            # kmeans keeps the colours of the legend, which are few pixels
-            best = Image.Quantize.MAXCOVERAGE
-            image.quantize(128, best, kmeans=3).save(picture, optimize=True)
+            few_colours(image).save(picture, optimize=True)
             parts.append(f"![{title}](gallery/{picture.name})\n")
         print(f"{program.stem}: {'picture' if shown is not None else 'text'}")
     (DOCS / "gallery.md").write_text("\n".join(parts), encoding="utf-8")

@@ -21,6 +21,8 @@ from cvqmpt_lab.cli.main import COMMANDS, examples_of, main
 from cvqmpt_lab.scene.cloud_files import write_cloud
 
 PAGES_WITH_COMMANDS = [path for path in PAGES if list(command_lines(path.read_text()))]
+FEW = "--scenes 40 --paths-per-scene 4"
+LABELS = "--scenes 80 --paths-per-scene 12"  # the fewest that a transformer trains on
 TRAY = "TRAY"  # stands for the start of tray.json
 OTHER_START = "0.9,0.3,0,-2.0,0,2.3,0.8"  # the pose of SCAN_START on the other side
 NOT_RUN = {
@@ -37,6 +39,8 @@ NOT_RUN = {
     r"\bcvqmpt audit ": "needs data sets; tests/cli/test_audit_command.py makes some",
     r"--proof |cvqmpt_check": "tests/features/proof write proofs and check them",
     r"\bcompletion ": "needs the extra `completion`, which is not installed",
+    r"train transformer .*--dictionary": "needs a dictionary of thousands of paths; the log of"
+    " training trains one for the shipped dictionary",
     r"check-tables( --all)?$": "repeats planners for minutes, as `make test` does",
 }
 """What no test here runs, with the reason."""
@@ -53,6 +57,7 @@ SMALLER = {
     r"(reproduce (?!.*--cutoff)(?!.*ompl|.*--iterations).*)": r"\1 --cutoff 1",
     r"--scenes \d+": "--scenes 40",
     r"--paths-per-scene \d+": "--paths-per-scene 4",
+    r"(labels roadmap .*)--scenes \d+( --paths-per-scene \d+)?": rf"\1{LABELS}",
     r"(train .*)--profile (compact|published)": r"\1--profile smoke",
     r"(reproduce .*)--cutoff \d+": r"\1--cutoff 1",
     r"(plan .*)--cutoff 5": r"\1--cutoff 60",  # so that it is solved on a busy machine, too
@@ -64,7 +69,6 @@ READERS = {
     r"\"?\$G\"?|\bQ2\b|\b1,0,0,-2,0,2,0": OTHER_START,
 }
 """What stands for values of the reader."""
-FEW = "--scenes 40 --paths-per-scene 4"
 BEFORE = {
     r"(?<!new )mine\.json": "cvqmpt problems new --robot panda mine.json",
     r"(?<!new )task\.json": "cvqmpt problems new --task drawer task.json",
@@ -88,17 +92,19 @@ BEFORE = {
     r"compare runs/kept": "cvqmpt reproduce problems/ --planners my_planner:plan --cutoff 1 "
     "--out runs/now",
     r"certify runs/mine": "cvqmpt reproduce problems/ --planners birrt --cutoff 1 --out runs/mine",
-    r"(certify|figure \w+|report|compare|table) (?:.* )?runs/(\w[\w-]*)": "cvqmpt reproduce "
-    r"place-task --problems 1 --planners birrt,my_module:plan --cutoff 1 --out runs/\2",
+    r"(certify|figure (?!histogram|concept)\w+|report|compare|table) (?:.* )?runs/(\w[\w-]*)": (
+        r"cvqmpt reproduce place-task --problems 1 --planners birrt,my_module:plan --cutoff 1 "
+        r"--out runs/\2"
+    ),
     r"compare runs/(\w+) runs/": "cvqmpt reproduce place-task --problems 1 --planners birrt "
     r"--cutoff 1 --out runs/\1",
     r"--data data/(paths|small)": f"cvqmpt data generate {FEW} --out data/\\1",
-    r"--data data/roadmap": f"cvqmpt data generate --labels roadmap {FEW} --out data/roadmap",
+    r"--data data/roadmap": f"cvqmpt data generate --labels roadmap {LABELS} --out data/roadmap",
     r" runs/ur5( |$)": f"cvqmpt data generate --robot ur5 {FEW} --out data/ur5",
     r"--dictionary runs/ur5( |$)": "cvqmpt train stage1 --profile smoke --data data/ur5 "
     "--out runs/ur5",
     r"--data data/ur5-roadmap": "cvqmpt data generate --labels roadmap --robot ur5 --dictionary "
-    f"runs/ur5 {FEW} --out data/ur5-roadmap",
+    f"runs/ur5 {LABELS} --out data/ur5-roadmap",
     r"--dictionary runs/published": "cvqmpt train stage1 --profile smoke --data data/paths --out "
     "runs/published",
     r"--model runs/published": "cvqmpt model import --dictionary-dir A --ar-dir B --out "

@@ -1,5 +1,6 @@
 """Template of a task, with comments: an arm opens a drawer or a door within its reach."""
 
+import time
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Literal, NamedTuple
 
@@ -58,12 +59,19 @@ class Place(NamedTuple):
     side: float  # -1 or 1: the side of the hinge, and of the hand at the start
 
 
-def task_template(source: Mapping[str, Any], what: Furniture = "drawer") -> dict[str, Any]:
+def task_template(
+    source: Mapping[str, Any],
+    what: Furniture = "drawer",
+    report: Callable[[int, int], None] = lambda done, total: None,
+    seconds: float = 120.0,
+) -> dict[str, Any]:
     """Return json of a task that `solve_task` solves with birrt.
 
     Args:
         source: json of the robot; acceleration limits must be known.
         what: furniture that the arm opens.
+        report: called with the number of tried places and the number of all.
+        seconds: time after which no further place is tried [s].
 
     Raises:
         InvalidInputError: no such task is found; the message says what is missing.
@@ -75,8 +83,13 @@ def task_template(source: Mapping[str, Any], what: Furniture = "drawer") -> dict
             f"one, --end-effector {hold.robot.end_effector}"
         )
     reach = hand_reach(hold.robot)
-    tried, reached, failure = 0, 0, ""
-    for place in _places(hold, what):
+    tried, reached, failure, began = 0, 0, "", time.monotonic()
+    places = [*_places(hold, what)]
+    for place in places:
+        if time.monotonic() - began > seconds:
+            failure += f"; {seconds:.0f} s are over, and {len(places) - tried} places not tried"
+            break
+        report(tried, len(places))
         tried += 1
         made = _task(source, hold, what, place, reach)
         start = _start(Task.from_dict(made), hold)
@@ -93,6 +106,7 @@ def task_template(source: Mapping[str, Any], what: Furniture = "drawer") -> dict
             margin=Margin(),
         )
         if solution.solved:
+            report(len(places), len(places))
             return made
         failure = f"; at the last one {solution.failure}"
     raise InvalidInputError(
@@ -217,6 +231,7 @@ def _phases(
         away: offset of the hand at the end [m].
     """
     approach, pull = lengths
+    above = [{"pose": {"at": hand(away[0], 0.0, away[2]), "position": 0.02}}] if away[1] else []
     return [
         {"kind": "move", "name": "reach", "goal": {"pose": {"at": hand(-approach)}}},
         _slide("approach", approach, hold),
@@ -241,7 +256,7 @@ def _phases(
             "_comment": TASK_COMMENTS["away"],
             "kind": "move",
             "name": "away",
-            "through": [{"pose": {"at": hand(away[0], 0.0, away[2]), "position": 0.02}}],
+            **({"through": above} if above else {}),
             "goal": {"pose": {"at": hand(*away), "position": 0.02}},
         },
     ]
@@ -323,7 +338,7 @@ def _start(task: Task, hold: Grip) -> np.ndarray | None:
         (reach.goal, checker),
         (last, there),
         (back, there),
-        (away.through[0], there),
+        *((region, there) for region in away.through),
     ):
         if not len(sample_region(robot, region, check, rng, 1, max_poses=3).configurations):
             return None

@@ -75,6 +75,18 @@ def test_every_arm_opens_one_or_says_what_is_missing(part):
             check_solved(template(name, what))
 
 
+def test_the_search_for_a_place_is_counted_and_ends():
+    source, calls = with_limits({"name": "panda"})[0], []
+    task_template(source, report=lambda done, total: calls.append((done, total)))
+    assert calls[0] == (0, 160) and calls[-1] == (160, 160)
+    refused("0 s are over, and 160 places not tried", task_template, source, seconds=0.0)
+
+
+@pytest.mark.slow
+def test_a_hand_of_five_joints_with_a_rotary_gripper_opens_a_drawer():
+    check_solved(template("so-arm101"))
+
+
 def test_an_arm_on_a_base_elsewhere_gets_a_drawer_there():
     source = {"name": "ur5", "base": {"xyz": [2.0, -1.0, 0.5], "rpy": [0.0, 0.0, 1.0]}}
     made = task_template(with_limits(source)[0])

@@ -105,11 +105,9 @@ class Drawing:
     @property
     def under(self) -> float:
         """Height of the ground [m]: the floor, or the lowest point of scene and motion."""
-        if self.ground is not None:
-            return self.ground
         some = range(0, len(self.labels), max(1, len(self.labels) // 10))
-        meshes = [mesh_of(self.scene), *(mesh_of(self.moving, k) for k in some)]
-        return lowest_point(*meshes)
+        meshes = (mesh_of(self.scene), *(mesh_of(self.moving, k) for k in some))
+        return ground_under(self.ground, *meshes)
 
     @property
     def floor(self) -> list[Body]:
@@ -168,8 +166,10 @@ def ground_height(scene: Scene) -> float | None:
     return max(tops, default=None)
 
 
-def lowest_point(*meshes: Mesh) -> float:
-    """Height of the lowest corner of some meshes [m]; 0 if they have none."""
+def ground_under(floor: float | None, *meshes: Mesh) -> float:
+    """Height of the ground [m]: the floor, or without one the lowest corner of meshes, or 0."""
+    if floor is not None:
+        return floor
     return min((float(m.corners[..., 2].min()) for m in meshes if len(m.corners)), default=0.0)
 
 

@@ -28,6 +28,7 @@ from cvqmpt_lab.features.pictures.bodies import (
     drawing_of_task,
     frames,
     ground_height,
+    ground_under,
     mesh_in_view,
     mesh_of,
     problem_of,
@@ -76,7 +77,8 @@ def draw(
             if not len(scene.corners):
                 raise InvalidInputError(f"scene {what.name!r} has no object to draw")
             viewpoint = framed(scene.corners.reshape(-1, 3), size)
-            image = Renderer(mesh_of(()), ground_height(what), viewpoint, size).image(scene)
+            ground = ground_under(ground_height(what), scene)
+            image = Renderer(mesh_of(()), ground, viewpoint, size).image(scene)
         case PlanningProblem():
             image = problem_image(what, None, size)
         case Solution():
@@ -185,7 +187,7 @@ def renderer_of(
     """
     still, torso = mesh_of(drawing.scene), mesh_of(body for body in drawing.moving if body.torso)
     viewpoint = clear_viewpoint(parts, still, size, [*inside], torso)
-    return Renderer(still, drawing.ground, viewpoint, size)
+    return Renderer(still, drawing.under, viewpoint, size)
 
 
 def still_image(
@@ -207,8 +209,9 @@ def still_image(
         hidden: names of scene objects that are not drawn.
     """
     scene = mesh_of(scene_bodies(problem.scene, hidden))
-    renderer = Renderer(scene, ground_height(problem.scene), viewpoint, size)
-    return renderer.image(mesh_of(robot_bodies(problem, q[None])))
+    robot = mesh_of(robot_bodies(problem, q[None]))
+    ground = ground_under(ground_height(problem.scene), scene, robot)
+    return Renderer(scene, ground, viewpoint, size).image(robot)
 
 
 @one_thread()

@@ -284,7 +284,8 @@ class Renderer:
         depth = (height - self.viewpoint.eye[2]) / np.where(rays[:, 2] == 0.0, np.inf, rays[:, 2])
         points = self.viewpoint.eye + depth[:, None] * rays
         away = np.linalg.norm(points - self.viewpoint.target, axis=1)
-        share = np.clip(1.6 - 0.4 * away, 0.0, 1.0) * (depth > 0.0)
+        distance = np.linalg.norm(np.subtract(self.viewpoint.eye, self.viewpoint.target))
+        share = np.clip(1.6 - 1.2 * away / distance, 0.0, 1.0) * (depth > 0.0)
         upwards, colours = np.tile([0.0, 0.0, 1.0], (len(row), 1)), np.outer(share, colour)
         self._lay(Fragments(row, column, depth, points, upwards, colours, row))
         self._shade[row, column] += (1.0 - share)[:, None]

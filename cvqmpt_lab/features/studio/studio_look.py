@@ -6,13 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cvqmpt_lab.base.errors import CvqmptError
-from cvqmpt_lab.features.motion.motion_check import certified_motion
-from cvqmpt_lab.features.motion.timing import TimingSettings
 from cvqmpt_lab.features.pictures.bodies import Body, Drawing, drawing_of_problem
 from cvqmpt_lab.features.pictures.curves import Plot, plots_along
 from cvqmpt_lab.features.pictures.meshes import Mesh
-from cvqmpt_lab.features.studio.studio_planning import Response
+from cvqmpt_lab.features.studio.studio_planning import Response, timed_states
 from cvqmpt_lab.search.result import JointPath
 
 # azimuth and elevation of the eye [rad], as on the page of a plan
@@ -22,7 +19,6 @@ VIEWS: Mapping[str, tuple[float, float]] = {
     "side": (-0.5 * math.pi, 0.0),
 }
 GHOST_LAYERS = {"start": 0.0015, "goals": 0.003}  # how much thinner ghosts are [m]
-MOST_STATES = 200  # of a timed path that is played
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,13 +45,8 @@ def timed(response: Response) -> Timed | None:
     """Time the path of a response at the speed of its request; None without a path of its own."""
     if response.path is None or response.message:
         return None
-    problem, times, states = response.problem, None, response.path.states
-    try:
-        motion = certified_motion(problem, response.path, TimingSettings(response.request.speed))
-        sampled = motion.sampled(max(0.05, motion.duration / (MOST_STATES - 1)))
-        times, states = sampled.times, sampled.positions
-    except CvqmptError:  # e.g. efforts of a joint: the path is shown over its states
-        pass
+    problem = response.problem
+    times, states = timed_states(problem, response.path, response.request.speed)
     drawing = drawing_of_problem(problem, JointPath(states), ghosts=0)
     return Timed(drawing, plots_along(problem, states), times)
 

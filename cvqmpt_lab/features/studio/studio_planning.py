@@ -27,7 +27,7 @@ from cvqmpt_lab.constraints.named import upper_axis
 from cvqmpt_lab.constraints.no_goal import why_none
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, upright
 from cvqmpt_lab.features.motion.motion_check import certified_motion
-from cvqmpt_lab.features.motion.trajectory import as_ros_json
+from cvqmpt_lab.features.motion.trajectory import Trajectory, as_ros_json
 from cvqmpt_lab.features.pictures.drawn_hands import sampled_hands
 from cvqmpt_lab.features.pictures.meshes import Colour
 from cvqmpt_lab.features.pictures.picture import png_of
@@ -42,6 +42,8 @@ from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import SLOW_SPEED
 from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.search.result import Budget, JointPath
+
+MOST_STATES = 200  # of a timed path that is played
 
 
 @dataclass(frozen=True, eq=False)
@@ -304,18 +306,35 @@ class Studio:
                 return "problem.json", json_text(response.problem.to_dict()).encode()
             case "page":
                 verdict = f"certified path of {response.planner}{response.gap}"
-                return "plan.html", path_html(response.problem, path.states, verdict).encode()
+                times, states = timed_states(response.problem, path, self.request.speed)
+                text = path_html(response.problem, states, verdict, times=times)
+                return "plan.html", text.encode()
             case "picture":
                 return "plan.png", png_of(response.solution) or b""
             case "trajectory":
-                from cvqmpt_lab.features.motion.timing import (
-                    TimingSettings,  # half a second to import
-                )
-
-                timing, limits = TimingSettings(self.request.speed), self.problem.robot.joint_limits
-                motion = certified_motion(response.problem, path, timing)
+                motion = _motion(response.problem, path, self.request.speed)
+                limits = self.problem.robot.joint_limits
                 return "motion.json", as_ros_json(motion, limits).encode()
         raise UnknownChoiceError("file", kind, ("problem", "page", "picture", "trajectory"))
+
+
+def _motion(problem: PlanningProblem, path: JointPath, speed: float) -> Trajectory:
+    """Certified motion along a path at a share `speed` of the joint limits."""
+    from cvqmpt_lab.features.motion.timing import TimingSettings  # half a second to import
+
+    return certified_motion(problem, path, TimingSettings(speed))
+
+
+def timed_states(
+    problem: PlanningProblem, path: JointPath, speed: float
+) -> tuple[np.ndarray | None, np.ndarray]:
+    """Times (m,) [s] and states (m, n) of the motion along a path; None if it cannot be timed."""
+    try:
+        motion = _motion(problem, path, speed)
+    except CvqmptError:  # e.g. efforts of a joint: the path is shown over its states
+        return None, path.states
+    sampled = motion.sampled(max(0.05, motion.duration / (MOST_STATES - 1)))
+    return sampled.times, sampled.positions
 
 
 def _reached(problem: PlanningProblem, what: str, T: np.ndarray, near: np.ndarray) -> np.ndarray:

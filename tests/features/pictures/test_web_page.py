@@ -119,7 +119,7 @@ def test_a_page_has_the_light_shadow_ground_and_outlines_of_the_still_picture(so
         groups = set(tab.value("data.bodies.map((body) => body.group)")) - {"scene", "robot"}
         shown = tab.value(
             f"(() => {{ {json.dumps(sorted(groups))}.forEach((group) => hidden.add(group));"
-            "views.reset(); draw(); const { width, height } = canvas;"
+            "views.reset(); draw(false); const { width, height } = canvas;"
             "const pixels = new Uint8Array(4 * width * height);"
             "gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, pixels);"
             "return { pixels: [...pixels], width, height, camera }; })()"
@@ -169,6 +169,10 @@ def test_mouse_keys_and_buttons_turn_zoom_step_and_play(solution, tmp_path):
         until(lambda: 0 < tab.value("state()") < len(solution.path.states) - 1)
         press(tab, " ")
         assert tab.value("playing") is None
+        full = "Math.abs(canvas.width - canvas.clientWidth) < 2"
+        until(lambda: tab.value(f"!busy && {full}"))
+        assert tab.value(f"draw(true); {full}") is False, "coarse while it moves"
+        until(lambda: tab.value(full))
         tab.click("top", lambda: tab.value("camera.elevation") == 1.55)
         tab.click("full screen", lambda: tab.value("document.fullscreenElement !== null"))
         press(tab, "Enter")
@@ -228,7 +232,7 @@ def test_walls_do_not_hide_the_robot_from_any_side(solution, tmp_path):
     with Tab(f"file://{tmp_path}/plan.html", tmp_path / "user", size=(700, 900)) as tab:
         until(lambda: tab.value("document.readyState === 'complete'") and tab.text())
         for azimuth in np.linspace(-np.pi, np.pi, 13):
-            tab.value(f"camera.azimuth = {azimuth}; draw()")
+            tab.value(f"camera.azimuth = {azimuth}; draw(false)")
             assert tab.value(largest) < 0.8, azimuth
         assert not tab.said
 
