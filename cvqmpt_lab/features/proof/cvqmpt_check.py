@@ -81,7 +81,7 @@ class Robot:
         need(not twice, f"joints {twice} are planned twice, or planned and held")
         # of each row: row above, pose in it, unit axis, if it slides, planned joint, factor, offset
         self.joints = [(0, origin(told["base"]), np.zeros(3), False, 0, 0.0, 0.0)]
-        self.moves = [frozenset()]  # joints (their rows) that move each row
+        self.moves: list[frozenset] = [frozenset()]  # joints (their rows) that move each row
         self.rows = {"": 0}
         links = root.findall("link")
         need(len(links) <= 500, "the URDF has more than 500 links")
@@ -363,8 +363,8 @@ class Proof:
         found = list(bodies_of(self.robot, root, told))
         self.bodies, self.links = {x.name: x for x, _ in found}, {x.name: y for x, y in found}
         need(len(self.bodies) == len(found), "two bodies have the same name")
-        t, *states = read_motion(motion, self.robot.names)
-        self.timed, (self.b, self.h) = t is not None, curves_of(t, *states, told["ends"])
+        t, q, v, a = read_motion(motion, self.robot.names)
+        self.timed, (self.b, self.h) = t is not None, curves_of(t, q, v, a, told["ends"])
         self.obstacles = [Body(x["name"], 0, *shape_of(x)) for x in told["obstacles"]]
 
     def placed(self, low, high):
