@@ -139,17 +139,19 @@ def _told(
         write_text(path, path_html(problem, states, verdict, times=times, lines=report.lines))
     print(json.dumps(report.data, indent=1, allow_nan=False) if args.json else report)
     if args.proof:
-        _prove(args.proof, problem, args.path, judged)
+        _prove(args, motion, problem, judged)
     return 0 if judged.certified else 1
 
 
-def _prove(proof: Path, problem: PlanningProblem, motion: Path, judged: Judgement) -> None:
+def _prove(
+    args: argparse.Namespace, motion: Motion, problem: PlanningProblem, judged: Judgement
+) -> None:
     """Write the proof of a certified motion; say how it is checked.
 
     Args:
-        proof: its file.
-        problem: what the motion was judged for.
-        motion: file of the motion.
+        args: names the files of the proof and of the motion.
+        motion: the motion.
+        problem: what it was judged for.
         judged: the judgement.
     """
     from cvqmpt_lab.features.proof.write_proof import write_proof  # few motions need it
@@ -157,7 +159,8 @@ def _prove(proof: Path, problem: PlanningProblem, motion: Path, judged: Judgemen
     if not judged.certified:
         log("no proof is written: the motion is not certified")
         return
-    log(f"proof written, check it by: {write_proof(proof, problem, motion)}")
+    command = write_proof(args.proof, problem, args.path, _ends(args, motion, problem))
+    log(f"proof written, check it by: {command}")
 
 
 def _by_request(args: argparse.Namespace, motion: Motion) -> tuple[PlanningProblem, Judgement]:

@@ -16,12 +16,14 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from cvqmpt_lab.base.errors import InvalidInputError
+from cvqmpt_lab.base.files import csv_table
 from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.certificate.certificate import FaultKind
 from cvqmpt_lab.collision.exact import CollisionChecker
@@ -37,7 +39,13 @@ from cvqmpt_lab.scene.shapes import Box, Cylinder, Sphere
 
 ARMS = ("panda", "ur5", "xarm7", "kinova", "so-arm101")
 # what a proof does not contain, so that it cannot disagree
-NOT_PROVEN = {FaultKind.JERK, FaultKind.EFFORT, FaultKind.TORQUE_RATE}
+NOT_PROVEN = {
+    FaultKind.JERK,
+    FaultKind.EFFORT,
+    FaultKind.TORQUE_RATE,
+    FaultKind.VELOCITY_JUMP,
+    FaultKind.STEP,
+}
 DENSE = 300  # states at which a changed proof that is accepted is compared
 
 
@@ -81,6 +89,51 @@ def problem_of(rng: np.random.Generator, arm: str) -> tuple[PlanningProblem, np.
     return problem, states
 
 
+def with_more_bounds(
+    rng: np.random.Generator, problem: PlanningProblem, middle: np.ndarray
+) -> PlanningProblem:
+    """Return a problem some of whose regions also bound turns on one side, or where a hand looks.
+
+    Args:
+        rng: random numbers.
+        problem: the problem.
+        middle: state (n,) of a motion, which keeps the bounds.
+    """
+    robot, regions = problem.robot, list(problem.regions)
+    if regions and rng.random() < 0.4:
+        bounds = np.array(regions[0].Bw)
+        bounds[3 + int(rng.integers(3))] = (-0.05, rng.uniform(0.2, 2.0))
+        regions[0] = replace(regions[0], Bw=bounds)
+    if rng.random() < 0.2:
+        ahead = robot.pose(middle) @ pose((0.0, 0.0, rng.uniform(0.1, 0.5)))
+        free = np.array([[-np.inf, np.inf]] * 6)
+        most = float(rng.uniform(0.2, 1.5))
+        regions.append(TaskSpaceRegion(ahead, np.eye(4), free, bearing=most))
+    return replace(problem, constraint=tuple(regions))
+
+
+def save_as(kind: str, trajectory: Trajectory, folder: Path, name: str) -> Path:
+    """Write a motion; return its file.
+
+    kind: json, csv or npz, with all derivatives; "spline": a csv of positions; "path": without
+    times.
+    """
+    if kind in ("json", "csv"):
+        save_trajectory(trajectory, folder / f"{name}.{kind}")
+        return folder / f"{name}.{kind}"
+    if kind == "npz":
+        arrays = {"t": trajectory.times, "q": trajectory.positions}
+        arrays |= {"v": trajectory.velocities, "a": trajectory.accelerations}
+        np.savez(folder / f"{name}.npz", joint_names=np.array(trajectory.joint_names), **arrays)
+        return folder / f"{name}.npz"
+    columns, table = ["time"], np.column_stack([trajectory.times, trajectory.positions])
+    if kind == "path":
+        columns, table = [], trajectory.positions
+    rows = [[*columns, *trajectory.joint_names], *table.tolist()]
+    (folder / f"{name}.csv").write_text(csv_table(rows))
+    return folder / f"{name}.csv"
+
+
 def trajectory_of(
     rng: np.random.Generator, names: tuple[str, ...], states: np.ndarray
 ) -> Trajectory:
@@ -96,12 +149,14 @@ def trajectory_of(
 
 def cases(rng: np.random.Generator, folder: Path, count: int, told: Counter) -> Iterator[Case]:
     """Yield proofs of certified motions; count agreement of checker and certificate."""
+    more = np.random.default_rng(count)
     for k in range(count):
         arm = ARMS[k % len(ARMS)]
         problem, states = problem_of(rng, arm)
+        problem = with_more_bounds(more, problem, states[1])
         trajectory = trajectory_of(rng, problem.robot.joint_names, states)
-        file = folder / f"{k}.json"
-        save_trajectory(trajectory, file)
+        kind = "json" if more.random() < 0.5 else str(more.choice(["csv", "npz", "spline", "path"]))
+        file = save_as(kind, trajectory, folder, str(k))
         motion = read_motion(file)
         begin = time.process_time()
         judged = judge(motion, problem, exact_clearance=True)
@@ -127,7 +182,8 @@ def cases(rng: np.random.Generator, folder: Path, count: int, told: Counter) -> 
         if not certified:
             print(f"motion {k} of {arm} is proven: {judged.check.certificate.reasons}")
         told[f"{'certified' if certified else 'REFUSED'}, {'yes' if answer else 'NO'}"] += 1
-        if certified and answer:
+        told[f"certified, {kind}"] += 1
+        if certified and answer and kind == "json":
             yield Case(problem, file, json.loads(text))
 
 
@@ -304,7 +360,7 @@ def still_true(case: Case, proof: dict[str, Any], motion: Motion, beyond: float 
     for region, told in zip(case.problem.regions, proof["regions"], strict=True):
         from cvqmpt_lab.constraints.task_space_region import displacements
 
-        x = displacements(robot, region, q)[:, :9]
+        x = displacements(robot, region, q)
         rows = np.array(told["bounds"], dtype=float)
         low = np.where(np.isnan(rows[:, 0]), -np.inf, rows[:, 0])
         high = np.where(np.isnan(rows[:, 1]), np.inf, rows[:, 1])

@@ -2,18 +2,20 @@
 
 import hashlib
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from cvqmpt_lab.base.errors import InvalidInputError
-from cvqmpt_lab.base.files import read_bytes
 from cvqmpt_lab.features.audit.lerobot import INFO, read_episodes, read_info
+from cvqmpt_lab.features.motion.bags import SUFFIXES as BAG_SUFFIXES
 from cvqmpt_lab.features.motion.bags import is_bag
 from cvqmpt_lab.features.motion.trajectory import Motion, read_motion
 
-SUFFIXES = (".csv", ".npz", ".json", ".yaml", ".yml", ".mcap")
+SUFFIXES = (".csv", ".npz", ".json", ".yaml", ".yml", *BAG_SUFFIXES)
+MOST_BYTES = 2**30  # of a file; larger ones are not read
 
 
 @dataclass(frozen=True)
@@ -27,14 +29,19 @@ class Source:
     @property
     def digest(self) -> str:
         """Hash of the file, and of what describes its data set."""
-        files = sorted(self.path.iterdir()) if self.path.is_dir() else [self.path]
-        if self.root is not None:
-            files.append(self.root / INFO)
+        files = self.files if self.root is None else [*self.files, self.root / INFO]
         found = hashlib.sha256()
         for file in files:
-            if file.is_file():
-                found.update(read_bytes(file, "episode"))
+            with suppress(OSError), file.open("rb") as stream:  # one that is lost has a row
+                found.update(hashlib.file_digest(stream, "sha256").digest())
         return found.hexdigest()
+
+    @property
+    def files(self) -> list[Path]:
+        """The file, or those of a recording's folder."""
+        if not self.path.is_dir():
+            return [self.path]
+        return sorted(file for file in self.path.iterdir() if file.is_file())
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +92,12 @@ def episodes_of(source: Source, column: str, rate: float | None) -> Iterator[Epi
         column: which positions of a data set of LeRobot are judged.
         rate: samples a second where the file does not say; None: not given.
     """
+    size = sum(file.stat().st_size for file in source.files)
+    if size > MOST_BYTES:
+        raise InvalidInputError(
+            f"it has {size / 2**20:.0f} MB, at most {MOST_BYTES / 2**20:.0f} are read: write its "
+            "episodes in several files"
+        )
     if source.path.suffix == ".parquet":
         if source.root is None:
             raise InvalidInputError(f"no {INFO} beside it says what its columns are")

@@ -68,11 +68,7 @@ def audit(
     kept = {} if out is None else _kept(out)
     found, ended, work = dict[str, list[Row]](), dict[str, list[Row]](), list[Job]()
     for source in sources:
-        try:
-            key = hashlib.sha256(f"{source.digest} {stated}".encode()).hexdigest()[:16]
-        except InvalidInputError as error:
-            found[source.name] = [Row(source.name, "", NOT_READ, fault=str(error))]
-            continue
+        key = hashlib.sha256(f"{source.digest} {stated}".encode()).hexdigest()[:16]
         old = kept.get(source.name, [])
         if old and all(row.key == key for row in old):
             found[source.name] = old

@@ -12,14 +12,21 @@ import numpy as np
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.collision.directions import Convex, Directions, convex_of
 from cvqmpt_lab.constraints.task_space_region import UNITS, TaskSpaceRegion, TaskSpaceRegionChain
-from cvqmpt_lab.features.proof.cvqmpt_check import KINDS, SLACK
+from cvqmpt_lab.features.proof.cvqmpt_check import KINDS
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.robot.source import RobotSource, content_digest, mesh_path, read_source
 
 MICRON = 1e-6  # to which points of obstacles and loads are rounded [m]
-ALWAYS_OPEN = ("jerk", "effort", "speeds of frames", "rest at the ends", "start and goal")
-BEARING = 9  # row of a region that is not proven
+ALWAYS_OPEN = (
+    "jerk",
+    "effort",
+    "speeds of frames",
+    "jumps of velocity",
+    "steps between states",
+    "rest at the ends",
+    "start and goal",
+)
 
 
 def claims(problem: PlanningProblem, directions: Directions, urdf: bytes) -> dict[str, Any]:
@@ -45,12 +52,11 @@ def claims(problem: PlanningProblem, directions: Directions, urdf: bytes) -> dic
             f"{given.urdf} is no plain URDF: expand it, xacro {Path(given.urdf).name} > arm.urdf, "
             "and give that file as --robot"
         )
-    movable = {
-        joint.get("name"): joint
+    movable = [
+        joint.get("name")
         for joint in root.findall("joint")
         if joint.get("type") in ("revolute", "continuous", "prismatic")
-    }
-    limits = dict(zip(robot.joint_names, _limits(robot), strict=True))
+    ]
     hulls, left_out = _hulls(directions, root, given)
     loads = [
         {"link": _link(problem, item.end_effector)[0], **each}
@@ -62,10 +68,7 @@ def claims(problem: PlanningProblem, directions: Directions, urdf: bytes) -> dic
         "held": {joint.name: joint.value for joint in robot.held_joints if joint.name in movable},
         "base": None if given.base is None else _pose(np.asarray(given.base)),
         "visual_as_collision": given.visual_as_collision,
-        "limits": limits,
-        "limits_not_in_urdf": [
-            [name, kind] for name in limits for kind in _wider(limits[name], movable[name])
-        ],
+        "limits": dict(zip(robot.joint_names, _limits(robot), strict=True)),
         "hulls": hulls,
         "bodies_left_out": left_out,
         "carried": loads,
@@ -86,17 +89,6 @@ def _limits(robot: Robot) -> Iterator[dict[str, float | None]]:
             kind: value if math.isfinite(value) else None
             for kind, value in zip(KINDS, row, strict=True)
         }
-
-
-def _wider(limits: dict[str, float | None], joint: ElementTree.Element) -> Iterator[str]:
-    """Yield the kinds of limits that are wider than those of the URDF."""
-    limit = joint.find("limit")
-    words = {} if limit is None else limit.attrib
-    for kind, sign in zip(KINDS[:3], (-1.0, 1.0, 1.0), strict=True):
-        stated, own = float(words.get(kind, 0.0)), limits[kind]
-        free = stated == 0.0 if kind == "velocity" else joint.get("type") == "continuous"
-        if not free and (own is None or sign * own > sign * stated + SLACK):
-            yield kind
 
 
 def _hulls(
@@ -136,7 +128,7 @@ def _hulls(
             path = mesh_path(file, Path(given.urdf), [Path(p) for p in given.package_dirs])
             hulls[file, scale] = {
                 "mesh": file,
-                "scale": [float(word) for word in scale.split()],
+                "scale": scale,
                 "sha256": content_digest(str(path)),
                 "pieces": pieces,
             }
@@ -199,7 +191,7 @@ def _region(problem: PlanningProblem, region: TaskSpaceRegion) -> dict[str, Any]
         T_base_w = T_link_base @ region.T0_w
     frames = (link, T_link_e @ np.linalg.inv(region.Tw_e)), (base, T_base_w)
     bounded = np.isin(np.arange(len(UNITS)), region.bounded_rows)[:, None]
-    rows = np.where(bounded & np.isfinite(region.bounds), region.bounds, np.nan)[:BEARING]
+    rows = np.where(bounded & np.isfinite(region.bounds), region.bounds, np.nan)
     return {
         "name": region.end_effector or problem.robot.end_effector,
         "frames": [{"link": name, **_pose(T)} for name, T in frames],
@@ -219,9 +211,8 @@ def _pose(T: np.ndarray) -> dict[str, str]:
 
 
 def _not_proven(problem: PlanningProblem) -> Iterator[str]:
-    """Yield the parts of the constraint that a proof does not have."""
-    for region in problem.regions:
-        if BEARING in region.bounded_rows:
-            yield f"bearing of {region.end_effector or problem.robot.end_effector}"
+    """Yield what a proof of this problem does not have."""
+    if problem.robot.followers:
+        yield "limits of joints that follow others"
     for function in problem.manifold.functions:
         yield f"constraint {function.describe()}"

@@ -12,12 +12,13 @@ import numpy as np
 
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.collision.directions import Directions
-from cvqmpt_lab.features.proof.cvqmpt_check import SLACK, Proof
+from cvqmpt_lab.features.proof.cvqmpt_check import SLACK, Proof, halves
 
 DIGITS = (2, 4, 8)  # of the numbers of a normal; the first that suffices are taken
 DEEPEST = 16  # times that a piece of the motion is halved
 MOST_LEAVES = 20_000  # of one tree
 Interval = tuple[int, int, int, int]
+"""Pieces lo to hi of the motion; or, of 2^halved parts of piece lo, that with this number."""
 
 
 @dataclass(eq=False)
@@ -77,6 +78,7 @@ class Planes:
     def __init__(self, proof: Proof, directions: Directions, names: Sequence[str]) -> None:
         self._proof, self._directions, self._names = proof, directions, names
         self._boxes: dict[tuple[int, int], tuple[np.ndarray, np.ndarray]] = {}
+        self._halved: dict[Interval, np.ndarray] = {}  # Bezier points of parts of pieces
 
     def found(self, compared: Sequence[int]) -> list[list[Any]]:
         """Return the planes of all pairs, in the form of the proof.
@@ -92,9 +94,11 @@ class Planes:
         pairs = [Pair(i, k, root, [root]) for i, k, root in ends]
         while left := [pair for pair in pairs if pair.open]:
             keys = sorted({node.key for pair in left for node in pair.open})
-            placed = self._proof.placed(keys)
+            parts = [self._points(key) for key in keys]
+            low, high = (np.array([f(b, axis=(0, 1)) for b in parts]) for f in (np.min, np.max))
+            placed = self._proof.placed(low, high)
             number = {key: k for k, key in enumerate(keys)}
-            found = self._directions_at(left, keys, placed[3])
+            found = self._directions_at(left, keys, 0.5 * (low + high))
             for pair, (distances, normals) in zip(left, found, strict=True):
                 rows = [number[node.key] for node in pair.open]
                 self._step(pair, distances, normals, [x[rows] for x in placed])
@@ -103,6 +107,16 @@ class Planes:
             [named[pair.first], named[-1 if pair.second is None else pair.second], tree]
             for pair, tree in ((pair, [*pair.root.tokens()]) for pair in pairs)
         ]
+
+    def _points(self, key: Interval) -> np.ndarray:
+        """Return the Bezier points (6, m, n) of the motion on an interval."""
+        lo, hi, halved, number = key
+        if not halved:
+            return self._proof.b[:, lo:hi]
+        if key not in self._halved:
+            both = halves(self._points((lo, hi, halved - 1, number // 2)))
+            self._halved[key] = both[number % 2]
+        return self._halved[key]
 
     def _directions_at(
         self, pairs: Sequence[Pair], keys: Sequence[Interval], states: np.ndarray

@@ -7,9 +7,12 @@ from itertools import combinations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.base.files import write_text
 from cvqmpt_lab.collision.directions import Directions
+from cvqmpt_lab.features.motion.limit_use import Ends
 from cvqmpt_lab.features.proof import cvqmpt_check
 from cvqmpt_lab.features.proof.claims import claims
 from cvqmpt_lab.features.proof.cvqmpt_check import SCHEMA, Proof, Refused
@@ -17,7 +20,7 @@ from cvqmpt_lab.features.proof.planes import Planes
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.source import read_source
 
-AS_JSON = "give the motion as json of a JointTrajectory, as plan --trajectory writes it"
+CURE = "give the motion as json of a JointTrajectory, as plan --trajectory writes it, csv or npz"
 CHECKER = Path(cvqmpt_check.__file__)
 
 
@@ -26,28 +29,31 @@ def urdf_of(problem: PlanningProblem) -> Path:
     return Path(read_source(problem.robot.source).urdf)
 
 
-def write_proof(path: Path, problem: PlanningProblem, motion: Path) -> str:
+def write_proof(
+    path: Path, problem: PlanningProblem, motion: Path, ends: Ends | None = None
+) -> str:
     """Write the proof of a certified motion; return the command that checks it.
 
     Args:
         path: file of the proof.
         problem: robot, scene and constraint.
         motion: file of the motion.
+        ends: with which it was judged; None: it rests at its ends.
 
     Raises InvalidInputError if no proof is found, or it cannot be about this robot or file.
     """
-    proof = proof_of(problem, motion)
+    proof = proof_of(problem, motion, ends)
     write_text(path, json.dumps(proof, separators=(",", ":"), allow_nan=False) + "\n")
     return f"python {CHECKER} {path} --urdf {urdf_of(problem)} --motion {motion}"
 
 
-def proof_of(problem: PlanningProblem, motion: Path) -> dict[str, Any]:
+def proof_of(problem: PlanningProblem, motion: Path, ends: Ends | None = None) -> dict[str, Any]:
     """Return the proof of a certified motion, see `write_proof`."""
     urdf = urdf_of(problem).read_bytes()
     directions = Directions(problem.robot, problem.scene, problem.carried)
     told = claims(problem, directions, urdf)
     if motion.is_dir():
-        raise InvalidInputError(f"{motion} is a folder; a proof is about one file: {AS_JSON}")
+        raise InvalidInputError(f"{motion} is a folder; a proof is about one file: {CURE}")
     given = motion.read_bytes()
     scene = json.dumps(told["obstacles"], separators=(",", ":")).encode()
     files = {"robot": urdf, "motion": given, "scene": scene}
@@ -58,6 +64,7 @@ def proof_of(problem: PlanningProblem, motion: Path) -> dict[str, Any]:
         "motion": motion.name,
         "sha256": {name: hashlib.sha256(data).hexdigest() for name, data in files.items()},
         **told,
+        "ends": _ends_of_spline(ends or Ends(), problem.robot.dof),
         "not_compared": [],
         "planes": [],
     }
@@ -65,7 +72,7 @@ def proof_of(problem: PlanningProblem, motion: Path) -> dict[str, Any]:
         proof = Proof(told, urdf, given)
     except (Refused, KeyError, LookupError, TypeError, ValueError) as error:
         raise InvalidInputError(
-            f"the checker cannot read {motion}, or the robot ({error}): {AS_JSON}"
+            f"the checker cannot read {motion}, or the robot ({error}): {CURE}"
         ) from error
     names = _names(directions, told["carried"])
     compared = _compared(problem, directions, proof, names)
@@ -76,6 +83,15 @@ def proof_of(problem: PlanningProblem, motion: Path) -> dict[str, Any]:
     except Refused as refused:
         raise InvalidInputError(f"no proof that others can check is found: {refused}") from refused
     return told
+
+
+def _ends_of_spline(ends: Ends, dof: int) -> list[list[float] | None]:
+    """Return velocities at both ends of a spline through positions; None: q'' is 0 there."""
+    free = (ends.moving, ends.start_velocity), (ends.part, ends.end_velocity)
+    return [
+        None if any_velocity and v is None else np.zeros(dof).tolist() if v is None else v.tolist()
+        for any_velocity, v in free
+    ]
 
 
 def _names(directions: Directions, carried: Sequence[dict[str, Any]]) -> list[str]:

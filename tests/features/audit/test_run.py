@@ -10,7 +10,7 @@ import pytest
 from data_sets import NAMES, SO_ARM, episode, table_of, write_info, write_set
 from refusals import refused
 
-from cvqmpt_lab.features.audit import run
+from cvqmpt_lab.features.audit import episodes, parquet, run
 from cvqmpt_lab.features.audit.judging import Settings
 from cvqmpt_lab.features.audit.rows import Row, read_rows, worst_first, write_rows
 from cvqmpt_lab.features.audit.run import audit
@@ -78,7 +78,7 @@ def test_degrees_that_are_stated_as_radians_are_named(tmp_path):
     assert (row.verdict, row.kinds) == ("refused", "units") and "degrees" in row.fault
 
 
-def test_bad_input_has_a_row_and_the_rest_goes_on(tmp_path):
+def test_bad_input_has_a_row_and_the_rest_goes_on(tmp_path, monkeypatch):
     root = write_set(tmp_path / "good", [table_of(episode(0))])
     folder = root / "data" / "chunk-000"
     (folder / "file-001.parquet").write_bytes((folder / "file-000.parquet").read_bytes()[:300])
@@ -93,6 +93,8 @@ def test_bad_input_has_a_row_and_the_rest_goes_on(tmp_path):
     no_fps = write_set(tmp_path / "no fps", [table_of(episode(0), timestamp=None)], fps=None)
     write_info(tmp_path / "fps 0", fps=0)
     (tmp_path / "plain.csv").write_text("1,2,x\n")
+    monkeypatch.setattr(episodes, "MOST_BYTES", 2**20)
+    (tmp_path / "huge.csv").write_bytes(bytes(2**21))
     rows = {row.file: row for row in audit(tmp_path, SETTINGS)}
     reasons = {
         "file-001": "no whole parquet file",
@@ -105,12 +107,23 @@ def test_bad_input_has_a_row_and_the_rest_goes_on(tmp_path):
         f"{wrong.name}/": "names 5 joints",
         f"{no_fps.name}/": "give --rate",
         "plain.csv": "no states under it",
+        "huge.csv": "2 MB, at most 1 are read",
     }
     for part, why in reasons.items():
         (row,) = (row for file, row in rows.items() if part in file)
         assert row.verdict == "not read" and why in row.fault, (part, row.fault)
     assert rows["good/data/chunk-000/file-000.parquet"].verdict == "certified"
     assert len(rows) == len(reasons) + 1
+
+
+def test_a_file_with_too_many_rows_or_numbers_is_refused_before_it_is_read(tmp_path, monkeypatch):
+    root = write_set(tmp_path, [table_of(episode(0))])
+    monkeypatch.setattr(parquet, "MOST_NUMBERS", 100)
+    (row,) = audit(root, SETTINGS)
+    assert row.verdict == "not read" and "more than 100 numbers" in row.fault
+    monkeypatch.setattr(parquet, "MOST_ROWS", 50)
+    (row,) = audit(root, SETTINGS)
+    assert row.verdict == "not read" and "60 rows, at most 50 are read" in row.fault
 
 
 def test_stamps_gaps_and_missing_times(tmp_path):
