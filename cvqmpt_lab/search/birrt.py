@@ -409,7 +409,7 @@ def checked_tree_path(space: ConstrainedSpace, trees: Trees) -> JointPath | None
     tree, node = child[: count - 1].T
     proven = trees.proven[tree, node]
     # from the roots on: motions behind one that fails would be proven in vain
-    path, bad = space.checked_path(states[:count], proven, middle=np.count_nonzero(tree == 0))
+    path, bad = space.checked_path(states[:count], proven, middle=int((tree == 0).sum()))
     trees.proven[tree, node] = proven
     if path is None:
         remove_subtree.unchecked(trees, int(tree[bad]), int(node[bad]))

@@ -308,8 +308,9 @@ def learned(
     search, limits = _host(choice)
     apart = choice.goals != "goals-together"
     clearest = choice.chosen == "clearest-draw"
+    # ablations see no cloud, or another's
+    observe: Callable[[Scene], np.ndarray] | None = observer() if clearest else None
     if choice.predictor == "uniform":
-        observe = observer() if clearest else None
         predict_uniform = clearest_uniform if clearest else uniform
         return Stages(predict_uniform, search, observe, goals_apart=apart, goal_limits=limits)
     codebook = codebook_of(model, robot)
@@ -321,8 +322,6 @@ def learned(
         "oracle": partial(oracle_codes, encode),
     }
     predict = predictors.get(choice.predictor)
-    # ablations see no cloud, or another's
-    observe: Callable[[Scene], np.ndarray] | None = observer() if clearest else None
     rank: Callable[[Query, Observation], tuple[np.ndarray, Timings]] | None = None
     if predict is None:
         predictor = sequence_predictor(model, robot, choice.predictor == "published")

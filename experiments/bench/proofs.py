@@ -122,9 +122,14 @@ def save_as(kind: str, trajectory: Trajectory, folder: Path, name: str) -> Path:
         save_trajectory(trajectory, folder / f"{name}.{kind}")
         return folder / f"{name}.{kind}"
     if kind == "npz":
-        arrays = {"t": trajectory.times, "q": trajectory.positions}
-        arrays |= {"v": trajectory.velocities, "a": trajectory.accelerations}
-        np.savez(folder / f"{name}.npz", joint_names=np.array(trajectory.joint_names), **arrays)
+        np.savez(
+            folder / f"{name}.npz",
+            joint_names=np.array(trajectory.joint_names),
+            t=trajectory.times,
+            q=trajectory.positions,
+            v=trajectory.velocities,
+            a=trajectory.accelerations,
+        )
         return folder / f"{name}.npz"
     columns, table = ["time"], np.column_stack([trajectory.times, trajectory.positions])
     if kind == "path":

@@ -22,6 +22,7 @@ from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 HERE = Path(__file__).parents[3]
+FOLDER = "SPEED_TARGETS_PROBLEMS"  # environment variable: folder of the problems' files
 NOW, BEFORE = 0, 1
 
 
@@ -30,36 +31,47 @@ NOW, BEFORE = 0, 1
 
 @cache
 def problem(kind: str, index: int) -> Any:
-    """Return a problem with goals, or None."""
+    """Return a problem with goals, or None; the file that the first checkout has written."""
     from cvqmpt_lab import suite_named
     from cvqmpt_lab.benchmarks.passages import cage_problem
     from cvqmpt_lab.planning.pipeline import with_drawn_goals
+    from cvqmpt_lab.problem import PlanningProblem
 
-    if kind.startswith("cage-"):
-        found = cage_problem(float(kind[5:]), index)
-    else:
-        found = suite_named(kind).item(index)
-    if hasattr(found, "reason"):
-        return None
-    found = found if len(found.goals) else with_drawn_goals(found)
-    return found if len(found.goals) else None
+    file = Path(os.environ[FOLDER]) / f"{kind}-{index}.json"
+    if not file.is_file():
+        made: Any
+        made = cage_problem(float(kind[5:]), index) if kind.startswith("cage-") else None
+        made = suite_named(kind).item(index) if made is None else made
+        if not hasattr(made, "reason") and not len(made.goals):
+            made = with_drawn_goals(made)
+        usable = not hasattr(made, "reason") and len(made.goals)
+        file.write_text(json.dumps(made.to_dict() if usable else None), encoding="utf-8")
+    data = json.loads(file.read_text(encoding="utf-8"))
+    return data and PlanningProblem.from_dict(data)
+
+
+def posed(kind: str, index: int) -> bool:
+    """Write a problem to a file, for both checkouts; return whether it has goals."""
+    return problem(kind, index) is not None
 
 
 def searched(kind: str, index: int, planner: str, seed: int, **budget: Any) -> Any:
     """Return whether a search found a path, its processor time [s] and its work."""
+    import numpy as np
+
     from cvqmpt_lab import Budget
     from cvqmpt_lab.planning.planners import planner_named
     from cvqmpt_lab.search import planner_interface as interface
     from cvqmpt_lab.search.birrt import BiRRT
     from cvqmpt_lab.search.space import ConstrainedSpace
 
-    posed = problem(kind, index)
-    if posed is None:
+    given = problem(kind, index)
+    if given is None:
         return None
-    interface.time = SimpleNamespace(perf_counter=time.process_time)
-    stages, space = planner_named(planner).stages(posed), ConstrainedSpace.of(posed)
-    rng, limit = posed.random_stream(seed), Budget(**budget)
-    query = interface.Query.of(space, posed.start, posed.goals, limit, rng, seed)
+    vars(interface)["time"] = SimpleNamespace(perf_counter=time.process_time)
+    stages, space = planner_named(planner).stages(given), ConstrainedSpace.of(given)
+    rng, limit = np.random.default_rng([seed, index]), Budget(**budget)
+    query = interface.Query.of(space, given.start, given.goals, limit, rng, seed)
     proposal = stages.predict(query, interface.Observation(None))
     began = time.process_time()
     found = interface.search(stages.search or BiRRT(), query, proposal, 0)
@@ -70,10 +82,10 @@ def planned(kind: str, index: int, repeats: int) -> Any:
     """Return the least processor time of a whole plan with `roadmap`, goals to certificate [s]."""
     from cvqmpt_lab import Budget, solve
 
-    posed, least = problem(kind, index), math.inf
-    for _ in range(repeats if posed is not None else 0):
+    given, least = problem(kind, index), math.inf
+    for _ in range(repeats if given is not None else 0):
         began = time.process_time()
-        solve(posed, "roadmap", Budget(iterations=20_000), seed=0)
+        solve(given, "roadmap", Budget(iterations=20_000), seed=0)
         least = min(least, time.process_time() - began)
     return least
 
@@ -84,9 +96,9 @@ def checked(kind: str, index: int, repeats: int) -> float:
 
     from cvqmpt_lab.search.space import ConstrainedSpace
 
-    posed = problem(kind, index)
-    space = ConstrainedSpace.of(posed)
-    near = posed.start + 0.5 * np.random.default_rng(0).standard_normal((20_000, len(posed.start)))
+    given = problem(kind, index)
+    space = ConstrainedSpace.of(given)
+    near = given.start + 0.5 * np.random.default_rng(0).standard_normal((20_000, len(given.start)))
     times = []
     for _ in range(repeats):
         began = time.process_time()
@@ -102,11 +114,11 @@ def judged(kind: str, index: int, count: int) -> list[bool]:
     from cvqmpt_lab.search.motion import motion_free
     from cvqmpt_lab.search.space import ConstrainedSpace
 
-    posed = problem(kind, index)
-    if posed is None:
+    given = problem(kind, index)
+    if given is None:
         return []
-    space, rng = ConstrainedSpace.of(posed), np.random.default_rng(index)
-    states = posed.start + 0.5 * rng.standard_normal((20 * count, len(posed.start)))
+    space, rng = ConstrainedSpace.of(given), np.random.default_rng(index)
+    states = given.start + 0.5 * rng.standard_normal((20 * count, len(given.start)))
     free = states[space.valid_batch(states)][:count]
     ways = rng.standard_normal(free.shape)
     ways *= 0.05 * 20.0 ** rng.random((len(free), 1)) / np.linalg.norm(ways, axis=1)[:, None]
@@ -169,7 +181,7 @@ def commanded(*words: str, empty: bool = False) -> float:
 
 
 JOBS: dict[str, Callable[..., Any]] = {
-    job.__name__: job for job in (searched, planned, checked, judged, large, commanded)
+    job.__name__: job for job in (posed, searched, planned, checked, judged, large, commanded)
 }
 
 
@@ -231,13 +243,16 @@ class Target(NamedTuple):
         return f"| {self.name} | {values} | {limit} | {reached} |"
 
 
+ON_PROBLEMS = ("searched", "planned", "checked", "judged")  # jobs with a suite and an index
 Both = tuple[Checkout, Checkout]  # NOW and BEFORE
 
 
 def both(checkouts: Both, cases: Sequence[tuple[Any, ...]], **options: Any) -> Iterator[list[Any]]:
     """Yield the answers of both checkouts to each case; they take turns in being first."""
     for number, case in enumerate(cases):
-        found = [None, None]
+        if case[0] in ON_PROBLEMS:
+            checkouts[NOW]("posed", *case[1:3])
+        found: list[Any] = [None, None]
         for side in (NOW, BEFORE) if number % 2 else (BEFORE, NOW):
             found[side] = checkouts[side](*case, **options)
         if found[NOW] is not None:
@@ -369,7 +384,8 @@ def seeds(checkouts: Both, count: int) -> Iterator[Target]:
         ]
         times = [[run[1] for run in pair] for pair in pairs if pair[0]]
         mean = [fmean(map(fmean, times)), fmean(map(min, times))]
-        yield Target(f"{kind}: mean time [s], one seed and the better of two", *mean, 0.6)
+        title = f"{kind}: mean time [s], one seed and the better of two"
+        yield Target(title, mean[0], mean[1], 0.6)
 
 
 PARTS = {
@@ -381,6 +397,8 @@ PARTS = {
 def main() -> None:
     """Measure and print."""
     folder, count, *names = Path(sys.argv[1]), int(sys.argv[2]), *sys.argv[3:]
+    problems = TemporaryDirectory()
+    os.environ[FOLDER] = problems.name
     checkouts = Checkout(HERE), Checkout(folder)
     for checkout in checkouts:
         checkout("commanded", "warmup")
