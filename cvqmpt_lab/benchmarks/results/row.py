@@ -174,7 +174,10 @@ class ResultRow:
     n_goals_tried: int | None = None  # number of searches for one goal each, one after the other
     # length of the path after OMPL's own simplification, as the published code measures it
     path_length_ompl_rad: float | None = None
-    host: str | None = None  # learned samplers only, like `predictor`
+    # Learned samplers only, like `predictor`.
+    host: str | None = None
+    half: str | None = None
+    chosen: str | None = None
     # Numbers that only one suite measures, by name; None: undefined. In files they are the last
     # columns, with names ``measure:NAME``.
     measures: Mapping[str, float | None] = field(default_factory=dict, hash=False)
