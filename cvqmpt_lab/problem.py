@@ -168,11 +168,6 @@ Clearance = Annotated[
     Condition(float, {"minimum": 0.0, "maximum": 0.2}, "a distance from 0 to 0.2 [m]"),
 ]
 
-# Number of the rule by which `PlanningProblem.random_stream` seeds; rows are compared with rows of
-# the same rule. 1: by the start alone.
-STREAMS = 2
-
-
 @dataclass(frozen=True, eq=False)
 class PlanningProblem(Document):
     """One constrained motion planning problem."""

@@ -24,7 +24,7 @@ from cvqmpt_lab.benchmarks.item import (
     SuiteItem,
     UnsolvableProblem,
 )
-from cvqmpt_lab.benchmarks.results.provenance import provenance
+from cvqmpt_lab.benchmarks.results.provenance import STREAMS, provenance
 from cvqmpt_lab.benchmarks.results.row import (
     ROW_COLUMNS,
     FailReason,
@@ -45,7 +45,7 @@ from cvqmpt_lab.features.tasks.task import Task
 from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.planning.solution import Solution
 from cvqmpt_lab.planning.warm_up import compile_kernels
-from cvqmpt_lab.problem import STREAMS, PlanningProblem
+from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.search.result import Budget, Counters, JointPath
 from cvqmpt_lab.search.space import ConstrainedSpace
 from cvqmpt_lab.vqmpt.sampler_choice import SamplerChoice

@@ -16,9 +16,9 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from cvqmpt_lab import problem
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.benchmarks.declarations import SUITES
+from cvqmpt_lab.benchmarks.results import provenance
 from cvqmpt_lab.benchmarks.results.provenance import PROVENANCE_FILE, digests_in, sessions
 from cvqmpt_lab.benchmarks.results.row import ResultRow
 from cvqmpt_lab.paper_tables.answer import answer_parts, whole_word
@@ -200,7 +200,7 @@ def answer_text(
         more=more,
         claims=claims,
         count=counted(claims),
-        older=STREAMS < problem.STREAMS,
+        older=STREAMS < provenance.STREAMS,
         docs=docs,
         page=page,
     )

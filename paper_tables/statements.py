@@ -68,7 +68,7 @@ def _claim(item: dict[str, Any]) -> Claim:
 
 _FILE = tomllib.loads((PUBLISHED / "claims.toml").read_text(encoding="utf-8"))
 READING: list[str] = _FILE["reading"]
-# smallest number of the rule of random streams whose rows are judged, see `problem.STREAMS`
+# smallest number of the rule of random streams whose rows are judged, see `provenance.STREAMS`
 STREAMS: int = _FILE["streams"]
 # first and last problem that are judged, by suite; all of a suite that is not named
 PROBLEMS: dict[str, list[int]] = _FILE.get("problems", {})

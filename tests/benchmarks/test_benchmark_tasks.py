@@ -135,7 +135,7 @@ ATTACHED["door"] = ["panel", "handle_bar", "handle_post_lower", "handle_post_upp
 
 @pytest.mark.parametrize("kind", CONSTRAINT_KINDS)
 def test_problems_of_a_kind_start_and_end_free_on_the_manifold_and_not_straight_ahead(kind):
-    index = 8 * 60 + CONSTRAINT_KINDS.index(kind)
+    index = 8 * 61 + CONSTRAINT_KINDS.index(kind)
     problem, again = constraint_problem(index), constraint_problem(index)
     assert split_problem(problem.name).phase == kind and index >= 160
     np.testing.assert_array_equal(problem.start, again.start)

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from cvqmpt_lab.benchmarks.declarations import SUITES
-from cvqmpt_lab.benchmarks.place_task import place_problem, published_problem
+from cvqmpt_lab.benchmarks.place_task import place_problem
+from cvqmpt_lab.benchmarks.published import published_problem
 from cvqmpt_lab.constraints.task_space_region import upright_box
 from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.problem import PlanningProblem

@@ -143,7 +143,7 @@ def test_a_new_task_is_planned_into_a_file_a_phase_and_the_events_between(tmp_pa
 
 
 def test_json_holds_the_record_that_certify_prints(tmp_path, cvqmpt):
-    path, words = tmp_path / "path.csv", "place-task --problem 7 --json"
+    path, words = tmp_path / "path.csv", "place-task --problem 8 --json"
     told = cvqmpt(
         f"plan {words} --planner birrt --iterations 20000 --exact-clearance --save {path}"
     )

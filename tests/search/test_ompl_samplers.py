@@ -61,7 +61,7 @@ def recorded(monkeypatch, problem, seed):
     return found, np.array(draws)
 
 
-@pytest.mark.parametrize("seed", [0, 1, 3, 4])
+@pytest.mark.parametrize("seed", [0, 1, 5, 10])
 def test_ompl_finds_the_same_path_with_its_own_draws_given_back(monkeypatch, problem, seed):
     """So the hook sees all draws of RRTConnect, and replaces nothing else."""
     plain = OmplSearch("projected", reach=np.inf).search(query_of(problem, seed=seed), None)

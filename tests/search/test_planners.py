@@ -34,6 +34,8 @@ from cvqmpt_lab.search.space import ConstrainedSpace, Tolerances
 # these may fail: their time or number of rollouts is limited
 LENIENT = dict.fromkeys(("atlas-rrt", "tb-rrt", "ompl-bkpiece"), PlanStatus.TIMEOUT)
 LENIENT |= dict.fromkeys(("mpnet", "ompl-mpnet"), PlanStatus.ITERATION_LIMIT)
+# one goal after the other: each gets a limit
+LENIENT |= dict.fromkeys(("ompl-uniform", "ompl-opt-cvq-dense"), PlanStatus.COST_LIMIT)
 OURS = ("birrt", "guided-birrt")
 ENOUGH = Budget(iterations=20_000)
 

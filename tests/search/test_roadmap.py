@@ -53,6 +53,13 @@ def tuning():
 
 
 @pytest.fixture(scope="module")
+def hard():
+    """Return a problem on which the roadmap's first path fails."""
+    problem = place_problem(1012)
+    return problem.changed(goals=goals_in_any_posture(problem).configurations)
+
+
+@pytest.fixture(scope="module")
 def roadmap(tuning):
     nodes = tuning.robot.random_configurations(np.random.default_rng(5), 1500)
     return Roadmap.of(nodes)
@@ -252,20 +259,20 @@ def turns(problem, budget=None, seed=0, **changes):
     return search(method, query, uniform(query, Observation()))
 
 
-def test_a_path_comes_from_whoever_finds_one_first(tuning):
-    early = turns(tuning, first=10_000)
+def test_a_path_comes_from_whoever_finds_one_first(hard):
+    early = turns(hard, first=10_000)
     assert (early.sampler, early.fallback, early.counters.clearances) == ("uniform", "", 0)
-    roadmap = turns(tuning, first=1)
+    roadmap = turns(hard, first=1)
     assert (roadmap.sampler, roadmap.fallback) == ("roadmap", "")
     assert roadmap.counters.clearances > 0 and roadmap.vertices > roadmap.trees[0].nodes.shape[0]
-    late = turns(tuning, first=1, turns=(1.0, 1.0))
+    late = turns(hard, first=1, turns=(1.0, 1.0))
     assert late.sampler in ("uniform", "cells") and "no roadmap path after" in late.fallback
 
 
-def test_cells_take_turns_after_some_work(tuning):
-    cells = turns(tuning, first=1, turns=(1.0, 1.0), between=(1.0, 1.0), alone=1.0)
+def test_cells_take_turns_after_some_work(hard):
+    cells = turns(hard, first=1, turns=(1.0, 1.0), between=(1.0, 1.0), alone=1.0)
     assert cells.path is not None and cells.sampler in ("uniform", "cells")
-    only_trees = turns(tuning, first=1, turns=(1.0, 1.0), between=(1.0, 1.0), alone=1e9)
+    only_trees = turns(hard, first=1, turns=(1.0, 1.0), between=(1.0, 1.0), alone=1e9)
     assert only_trees.sampler == "uniform" and only_trees.counters != cells.counters
 
 
@@ -291,7 +298,7 @@ def test_in_a_maze_cells_come_early(tuning, monkeypatch):
     assert work[1] == 6_000 and work[3:] == [60_000, 20_000, 60_000]
 
 
-def test_after_the_roadmap_trees_draw_from_the_whole_space_without_a_limit(tuning, monkeypatch):
+def test_after_the_roadmap_trees_draw_from_the_whole_space_without_a_limit(hard, monkeypatch):
     """Draws around free nodes of a roadmap without a path kept the trees out of cages."""
     drawn = []
     grow = GrowingTrees.grow
@@ -301,7 +308,7 @@ def test_after_the_roadmap_trees_draw_from_the_whole_space_without_a_limit(tunin
         return grow(trees, *limits, **more) if trees._method.reach == np.inf else None
 
     monkeypatch.setattr(GrowingTrees, "grow", recorded)
-    found = turns(tuning, first=1, between=(1.0, 1.0), turns=(100.0, 1.0), alone=1.0)
+    found = turns(hard, first=1, between=(1.0, 1.0), turns=(100.0, 1.0), alone=1.0)
     assert found.sampler in ("uniform", "cells")
     assert (1.0, "uniform", GaussianMixture) in drawn
     assert drawn[-1] == (np.inf, "uniform", Uniform)

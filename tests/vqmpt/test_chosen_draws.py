@@ -14,6 +14,7 @@ from cvqmpt_lab.search.ompl_planners import published_search
 from cvqmpt_lab.search.planner_interface import GaussianMixture, Observation, Query, Uniform
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.space import ConstrainedSpace
+from cvqmpt_lab.search.work import PRICES
 from cvqmpt_lab.sensing.observation import Observer
 from cvqmpt_lab.vqmpt.chosen_draws import TRIES, BodyBalls, ClearestDraws, Clearness, HalvedMixture
 
@@ -59,7 +60,7 @@ def test_the_tree_from_the_start_draws_first_and_both_draw_in_turn(problem, monk
     monkeypatch.setattr(ompl_planners._Draws, "next", next_draw)
     monkeypatch.setattr(ompl_planners._Manifold, "_project", project)
     of_start, of_goal = problem.goals[3], problem.goals[5]
-    published_search(range=0.3).search(query_of(problem, 10), Constant((of_start, of_goal)))
+    published_search(reach=0.3).search(query_of(problem, 10), Constant((of_start, of_goal)))
     np.testing.assert_array_equal(draws, [of_start, of_goal] * 5)
     # the first motion of the first iteration begins at the start
     assert np.linalg.norm(motions[0][1] - problem.start) < 0.1
@@ -132,12 +133,12 @@ def test_chosen_draws_plan_certified_paths_that_repeat(problem, name):
 
 def test_one_goal_may_use_the_whole_budget(problem):
     """The tries of one goal summed up to 37.5 s of 100 s."""
-    blocked = problem.changed(goals=problem.goals[:1], clearance=0.0)
-    found = solve(blocked, f"{IN_OMPL.replace('apart', 'ranked')}", Budget(cost=60.0), seed=0)
-    limits = planner_named(f"{IN_OMPL.replace('apart', 'ranked')}").stages(problem).goal_limits
-    assert sum(limit.cost for limit in limits) >= 100.0
-    assert sum(limit.cost for limit in limits[:-1]) * 20 > 100.0  # and twenty goals several rounds
-    assert found.solved
+    name = IN_OMPL.replace("apart", "ranked")
+    one = problem.changed(goals=problem.goals[:1])
+    found = solve(one, name, Budget(cost=60.0), seed=0)
+    assert found.solved or found.plan.counters.cost(PRICES["published"]) >= 60.0
+    limits = [limit.cost for limit in planner_named(name).stages(problem).goal_limits]
+    assert sum(limits) >= 100.0 and 20 * sum(limits[:2]) >= 100.0
 
 
 @pytest.mark.parametrize(

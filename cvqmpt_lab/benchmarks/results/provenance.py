@@ -20,6 +20,9 @@ from cvqmpt_lab.base.files import differences, read_json_object, write_text
 
 PROVENANCE_FILE = "provenance.json"
 
+# Number of the rule by which `PlanningProblem.random_stream` seeds; rows are compared with rows of
+# the same rule. 1: by the start alone.
+STREAMS = 2
 SESSION_DIGESTS = ("weights", "problem_files", "planners")
 """Fields of a session that map names to digests (of `planners`: to versions).
 
@@ -111,7 +114,7 @@ def sessions(record: Mapping[str, Any]) -> list[Mapping[str, Any]]:
 
 
 def streams_of(session: Mapping[str, Any]) -> int:
-    """Return the number of the rule that seeds random streams, see `problem.STREAMS`."""
+    """Return the number of the rule that seeds random streams, see STREAMS."""
     return int(session.get("streams") or 1)
 
 

@@ -33,7 +33,7 @@ def test_ratios_are_of_means_over_problems():
     runs = [
         Timed(planner, str(k), True, 1, 1, 1, scale * (k + 1.0), k + 1.0, (k + 1.0) / 2)
         for planner, scale in (("a", 2.0), ("b", 1.0))
-        for k in range(4)
+        for k in range(12)
     ]
     found = {line.name: (line.median, line.low, line.high) for line in ratios(runs)}
     assert found["a: measured / predicted seconds"] == (2.0, 2.0, 2.0)

@@ -67,7 +67,7 @@ def extended(plan, extra=("finger",)):
 
 
 WRONG = {
-    r"is at -\S+, its limits are .* degrees\? Give radians": lambda plan: (
+    r"is at -?\S+, its limits are .* degrees\? Give radians": lambda plan: (
         (plan.joint_names, np.degrees(plan.positions), plan.times)
     ),
     r"the motion lasts .* are its times in nanoseconds\? Give seconds": lambda plan: (
