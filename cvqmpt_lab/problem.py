@@ -168,6 +168,7 @@ Clearance = Annotated[
     Condition(float, {"minimum": 0.0, "maximum": 0.2}, "a distance from 0 to 0.2 [m]"),
 ]
 
+
 @dataclass(frozen=True, eq=False)
 class PlanningProblem(Document):
     """One constrained motion planning problem."""
