@@ -7,13 +7,24 @@ from typing import Any, NamedTuple
 
 from cvqmpt_lab.base.files import write_text
 from cvqmpt_lab.benchmarks.declarations import SUITES
-from cvqmpt_lab.benchmarks.results.provenance import ProvenanceFile, digests_in, sessions
+from cvqmpt_lab.benchmarks.results.provenance import (
+    STREAMS,
+    ProvenanceFile,
+    digests_in,
+    sessions,
+    streams_of,
+)
 from cvqmpt_lab.benchmarks.results.row import RUNS_FILE, ResultRow
 from cvqmpt_lab.benchmarks.results.store import rows_and_note
 from cvqmpt_lab.paper_tables.layouts import place_table
 from cvqmpt_lab.paper_tables.statements import PublishedValue, read_published
 from cvqmpt_lab.paper_tables.table_engine import SuiteTable, goalless_text, rows_of_one_suite
 from cvqmpt_lab.paper_tables.writers import markdown, markdown_text
+
+OLDER = (
+    "Older rows: random numbers depended on the start alone. Title, notes and the descriptions of "
+    "planners are the present ones, and these rows may be of an earlier form of the suite."
+)
 
 
 def title_of(suite: str) -> str:
@@ -59,10 +70,15 @@ def rendered_tables(directory: Path) -> Rendered:
     title, label = title_of(made.suite), directory.resolve().name
     notes = [str(line) for line in made.sections.get("Notes", ())]
     ended = [note] if note else []
+    older = min(map(streams_of, sessions(record))) < STREAMS
     caption = f"{title}, {made.size}. In brackets: 95 % intervals. Bold: the best value."
     texts = {
         "table.md": "\n\n".join(
-            [f"# {markdown_text(title)}", *map(markdown_text, (head, *ended)), made.markdown]
+            [
+                f"# {markdown_text(title)}",
+                *map(markdown_text, (head, *[OLDER] * older, *ended)),
+                made.markdown,
+            ]
         )
         + "\n"
         + markdown({f"Sessions that made {RUNS_FILE}": [*map(session_text, sessions(record))]}),

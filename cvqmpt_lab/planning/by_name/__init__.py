@@ -192,7 +192,7 @@ SHIPPED = (
     ),
     Planner(
         "ompl-cvq-tuned",
-        "`ompl-opt-cvq` with goals in order of predicted cost, tried again with longer limits, "
+        "`ompl-opt-cvq-dense` with goals in order of predicted cost, tried again with longer limits, "
         "colliding samples drawn again",
         _learned("named_sampler"),
         (5,),
