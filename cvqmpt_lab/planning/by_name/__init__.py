@@ -192,8 +192,8 @@ SHIPPED = (
     ),
     Planner(
         "ompl-cvq-tuned",
-        "`ompl-opt-cvq-dense` with goals in order of predicted cost, tried again with longer limits, "
-        "colliding samples drawn again",
+        "`ompl-opt-cvq-dense` with goals in order of predicted cost, tried again with longer "
+        "limits, colliding samples drawn again",
         _learned("named_sampler"),
         (5,),
         "in-ompl",

@@ -49,10 +49,10 @@ def test_picture_has_the_size_and_shows_the_trace(solution, tmp_path):
     draw_solution(solution, tmp_path / "a.png", (180, 120), ghosts=1)
     image = imread(tmp_path / "a.png")
     assert image.shape[:2] == (120, 180)
-    orange = image[..., 0] - image[..., 2] > 0.35  # nothing but the trace is that colourful
+    orange = image[..., 0] - image[..., 2] > 0.5  # nothing but the trace is that colourful
     assert orange.sum() > 20
     draw_solution(replace(solution, simplified=None), tmp_path / "b.png", (180, 120))
-    assert not (np.subtract(*imread(tmp_path / "b.png").T[[0, 2]]) > 0.35).any()
+    assert not (np.subtract(*imread(tmp_path / "b.png").T[[0, 2]]) > 0.5).any()
 
 
 def test_fine_hulls_are_drawn_by_few_corners_close_to_the_whole():
