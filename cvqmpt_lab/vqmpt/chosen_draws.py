@@ -4,7 +4,7 @@
 two trees the draws of its own half of a predicted sequence.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -118,10 +118,11 @@ class ClearestDraws:
 
     drawn: SamplingDistribution
     clearness: Clearness
-    name: str = field(init=False)
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "name", self.drawn.name)
+    @property
+    def name(self) -> str:
+        """Name in result rows."""
+        return self.drawn.name
 
     def of_tree(self, tree: int) -> "SamplingDistribution":
         """Return the distribution of one tree, see `HalvedMixture`."""
