@@ -208,7 +208,7 @@ def _ompl_suites() -> list[Suite]:
         experiment(
             name="place-task-ompl-tuning",
             title="The same on problems that settings were chosen on",
-            problems=range(1000, 1100),
+            problems=range(1000, 1200),
         ),
     ]
 
