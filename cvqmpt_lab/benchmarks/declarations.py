@@ -61,7 +61,7 @@ def _place_suites() -> list[Suite]:
         Suite(
             name="place-task-seconds",
             title="Place task in seconds: compiled checks, and the same planners inside OMPL",
-            problems=range(5000, 5400),  # those of `place-task-ompl`
+            problems=range(6000, 6400),  # those of `place-task-ompl`
             make=place_problem,
             shown_in_hand=can,
             planners=(
@@ -139,7 +139,7 @@ def _ompl_suites() -> list[Suite]:
         experiment(
             name="place-task-ompl",
             title="Place task inside OMPL: the paper's experiment, in its seconds",
-            problems=range(5000, 5400),  # nobody has looked at them, see docs/judgement.md
+            problems=range(6000, 6400),  # nobody has looked at them, see docs/judgement.md
             amounts=(
                 Amount(cost=100.0),
                 Amount(profile="paper", problems=100, cost=100.0, planners=PlannerGroups.paper),
@@ -191,7 +191,7 @@ def _ompl_suites() -> list[Suite]:
         by_kind(
             name="constraints-ompl",
             title="Eight kinds of constraints inside OMPL, zero-shot",
-            problems=range(800, 1072),  # nobody has looked at them
+            problems=range(1072, 1344),  # nobody has looked at them
             make=problem_maker("family_task:constraint_problem"),
         ),
         by_kind(
@@ -199,8 +199,8 @@ def _ompl_suites() -> list[Suite]:
             title="Six kinds that are no bounds on a hand's pose inside OMPL, zero-shot",
             # nobody has looked at them; the last are four of each kind
             problems=(
-                *range(1440, 1620),
-                *(k + i for k in range(1620, 1800, 30) for i in range(4)),
+                *range(1800, 1980),
+                *(k + i for k in range(1980, 2160, 30) for i in range(4)),
             ),
             # up to 20 goals, because the published budget is one for each goal
             make=problem_maker("more_constraints:more_constraints_problem", each=30, around=0.05),

@@ -52,7 +52,7 @@ def test_it_writes_rows_tables_verdicts_and_the_report_and_goes_on_where_it_was(
     assert said[0].startswith("place-task-ompl: 4 runs on 1 processes take about ")
     assert any(line.startswith("histogram: 30 problems") for line in said)
     report = (tmp_path / "report.html").read_text()
-    assert "A path in 3-D: problem 5000, ompl-cvq, seed 0" in report
+    assert "A path in 3-D: problem 6000, ompl-cvq, seed 0" in report
     heads = ["sentence", "paper", "here, with interval", "committed"]
     assert re.split(" {2,}", lines[0]) == heads
     told = zip(lines[1 : 1 + len(CLAIMS)], CLAIMS, strict=True)

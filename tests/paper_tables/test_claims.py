@@ -21,7 +21,7 @@ from cvqmpt_lab.paper_tables.evidence import Evidence
 from cvqmpt_lab.paper_tables.failures import failure_lines
 from cvqmpt_lab.paper_tables.pages import PAGE, report_html
 from cvqmpt_lab.paper_tables.rule import Word
-from cvqmpt_lab.paper_tables.statements import CLAIMS
+from cvqmpt_lab.paper_tables.statements import CLAIMS, PROBLEMS
 from cvqmpt_lab.paper_tables.writers import PAGE_WIDTH
 
 BY_TITLE = {claim.title: claim for claim in CLAIMS}
@@ -147,9 +147,9 @@ def test_kinds_are_pooled_over_suites():
     rng = np.random.default_rng(0)
     parts = []
     for suite, kinds in (("constraints-ompl", "ab"), ("constraints-more-ompl", "cd")):
-        rows = []
+        rows, first = [], PROBLEMS[suite][0]
         for place, kind in enumerate(kinds, start=1):
-            for k in range(30):
+            for k in range(first, first + 30):
                 name, checks = f"{k}/{place}-{kind}", int(rng.uniform(1000, 5000))
                 rows.append(priced("ompl-projected", name, checks, suite=suite))
                 rows.append(
