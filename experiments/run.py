@@ -239,6 +239,7 @@ def result_row(run: Run, solution: Solution, goal_seconds: float) -> ResultRow:
         path_length_first_rad=more.lengths[0][1] if more else None,
         g_sampled=_sampled_g(solution),
         t_wall_s=solution.wall_seconds,
+        t_certify_s=solution.certificate_seconds,
         **({} if sampler is None else asdict(sampler) | {"reach": _defined(sampler.reach)}),
     )
 

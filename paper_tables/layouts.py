@@ -351,6 +351,9 @@ GROUP_COLUMNS: Mapping[str, Column] = {
     "solved_within_1_s": Column("in 1 s [%]", "%", solved_within(1.0), best="most"),
     "solved_within_2_s": Column("in 2 s [%]", "%", solved_within(2.0), best="most"),
     "time_median": Column("time [s]", "s", median_of("time")),
+    "search_median": Column("search [s]", "s", median_of("search_time")),
+    "shortening_median": Column("shortening [s]", "s", median_of("simplify_time", "solved")),
+    "certificate_median": Column("certificate [s]", "s", median_of("certificate_time", "solved")),
     "work_median": Column("work", "1", median_of("work")),
     **{
         name: Column(

@@ -132,6 +132,7 @@ VALUES: Mapping[str, Value] = {  # values of a row by name; times in [s]
     "network_time": network_time,
     "search_time": attrgetter("t_plan_s"),
     "simplify_time": attrgetter("t_simplify_s"),
+    "certificate_time": attrgetter("t_certify_s"),
     "sense_time": attrgetter("t_sense_s"),
     "whole_time": attrgetter("t_whole_s"),
     "wall_time": attrgetter("t_wall_s"),

@@ -138,7 +138,7 @@ def solve(
         run = first_of(searches)
     attempts, space, seed = run.attempts, run.query.space, run.query.seed
     wall = time.perf_counter() - called - goal_seconds - observe_seconds
-    wall -= sum(attempt.certifying for attempt in attempts)
+    certifying = sum(attempt.certifying for attempt in attempts)
     plan, best = _outcome(attempts, space)
     found = Solution(
         problem,
@@ -147,7 +147,8 @@ def solve(
         certificate=best.certificate,
         goal_seconds=goal_seconds,
         observe_seconds=observe_seconds,
-        wall_seconds=wall,
+        wall_seconds=wall - certifying,
+        certificate_seconds=certifying,
         distribution=_sampled(stages, attempts[-1].proposal),
         left_out=left_out,
         goals=usable,
