@@ -38,7 +38,7 @@ def _mcvamp(name: str) -> Suite:
         title=titles[name],
         problems=range(100),
         make=problem_maker(f"line_plane_maze:{name}_problem"),
-        planners=("birrt", "roadmap", "ompl-projected"),
+        planners=("birrt", "roadmap", "roadmap-cvq", "ompl-projected"),
         amounts=(Amount(cutoff=5.0),),
         paper=("mcvamp.csv", name),
         table=table_maker(
@@ -138,7 +138,7 @@ def _door_and_passages() -> list[Suite]:
             title="Narrow passages: mazes, a cage and slots",
             problems=range(160),
             make=problem_maker("passages:passage_problem"),
-            planners=("birrt", "cells", "roadmap"),
+            planners=("birrt", "cells", "roadmap", "roadmap-cvq"),
             amounts=(Amount(cutoff=5.0),),
             table=table_maker(
                 "layouts:group_table",
