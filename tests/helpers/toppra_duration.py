@@ -26,7 +26,7 @@ class Curve(AbstractGeometricPath):
 
 
 def toppra_duration(curve, velocity, acceleration, dynamics=None, effort=None):
-    """Duration [s]; velocity, acceleration, effort: limits (n,)."""
+    """Duration [s] on the curve's grid; velocity, acceleration, effort: limits (n,)."""
     toppra.setup_logging("ERROR")
     velocities, accelerations = (np.stack([-x, x], axis=1) for x in (velocity, acceleration))
     how = DiscretizationType.Interpolation
@@ -41,10 +41,9 @@ def toppra_duration(curve, velocity, acceleration, dynamics=None, effort=None):
 
         friction, between = np.zeros(len(effort)), np.stack([-effort, effort], axis=1)
         constraints.append(JointTorqueConstraint(efforts, between, friction, how))
-    grid = np.unique(np.concatenate([curve.grid, 0.5 * (curve.grid[1:] + curve.grid[:-1])]))
-    scaling = TOPPRA(constraints, Curve(curve), gridpoints=grid)
+    scaling = TOPPRA(constraints, Curve(curve), gridpoints=curve.grid)
     _, speed, _ = scaling.compute_parameterization(0.0, 0.0)
-    return float((2.0 * np.diff(grid) / (speed[1:] + speed[:-1])).sum())
+    return float((2.0 * np.diff(curve.grid) / (speed[1:] + speed[:-1])).sum())
 
 
 def weak_efforts(problem, states):
