@@ -570,6 +570,81 @@ def refine_and_check(
     return written, segment[blocked + 1], segment[space.proven[0] + 1]
 
 
+@kernel
+def _cut(proven, first, last, way, longest, pieces, count):
+    """Cut a stretch of motions into pieces of proven ones, and of at most `longest` others.
+
+    Args:
+        proven: (m - 1,) bool.
+        first: motion at which to begin.
+        last: motion before which to stop.
+        way: 1: forwards; -1: backwards, from `last` on.
+        longest: largest number of unproven motions of a piece.
+        pieces: (m - 1, 5), written from row `count` on: first and last state, and whether proven.
+        count: number of its rows so far.
+
+    Returns:
+        Number of rows.
+    """
+    left, at = last - first, first if way > 0 else last - 1
+    while left > 0:
+        known, size = proven[at], 1
+        while size < left and proven[at + way * size] == known and (known or size < longest):
+            size += 1
+        begin = at if way > 0 else at - size + 1
+        pieces[count, 0], pieces[count, 1], pieces[count, 2] = begin, begin + size, int(known)
+        count, at, left = count + 1, at + way * size, left - size
+    return count
+
+
+@entry
+def refine_pieces(
+    space: Space,
+    states: Annotated[np.ndarray, "count n"],
+    proven: Annotated[np.ndarray, "bool motions"],
+    middle: int,
+    longest: int,
+    out: Annotated[np.ndarray, "capacity n"],
+    segment: Annotated[np.ndarray, "int64 capacity"],
+    pieces: Annotated[np.ndarray, "int64 motions 5"],
+):
+    """Call `refine_and_check` on pieces of a path: first on those that may fail, until one does.
+
+    Args:
+        space: the planning space.
+        states: the path (m, n) [rad or m].
+        proven: (m - 1,), whether each motion is known to be free; those that pass are marked.
+        middle: pieces before this motion are checked from the first one on, others from the last.
+        longest: largest number of motions that are checked together.
+        out: (capacity, n), written: the refined states of one piece after another.
+        segment: (capacity,), work array.
+        pieces: (m - 1, 5), written: first and last state of each piece, whether it was known to be
+            free, and where its states begin and end in out.
+
+    Returns:
+        Number of pieces, or -1 less the index of a motion that fails.
+    """
+    space = placed(space)
+    count = _cut(proven, 0, middle, 1, longest, pieces, 0)
+    count = _cut(proven, middle, proven.shape[0], -1, longest, pieces, count)
+    begin = 0
+    for known in range(2):
+        for k in range(count):
+            first, last = pieces[k, 0], pieces[k, 1]
+            if pieces[k, 2] != known:
+                continue
+            written, bad, passed = refine_and_check(
+                space, states[first : last + 1], out[begin:], segment[begin:], known == 0
+            )
+            for i in range(passed):
+                proven[first + i] = True
+            if bad >= 0:
+                return -1 - first - bad
+            pieces[k, 3], pieces[k, 4] = begin, begin + written
+            begin += written
+    return count
+
+
 @entry
 def edge_verdicts(
     space: Space,

@@ -1,6 +1,6 @@
 """The result of a planning run: status, path, counts, times."""
 
-from dataclasses import astuple, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import cached_property
 from numbers import Real
@@ -99,7 +99,8 @@ class Counters:
 
     def __add__(self, other: "Counters") -> "Counters":
         """Sum of each count."""
-        return Counters(*(a + b for a, b in zip(astuple(self), astuple(other), strict=True)))
+        pairs = zip(vars(self).values(), vars(other).values(), strict=True)
+        return Counters(*(a + b for a, b in pairs))
 
     @property
     def work(self) -> float:

@@ -1,7 +1,6 @@
 """The planning space of all planners: projection and state checks, which it counts."""
 
 import ctypes
-from itertools import pairwise
 from typing import Annotated, Any, NamedTuple, Self
 
 import numpy as np
@@ -324,50 +323,31 @@ class ConstrainedSpace:
             The path and -1, or None and the index of a motion that fails.
         """
         if proven is None:
-            proven, longest = np.zeros(len(states) - 1, dtype=bool), len(states)
+            proven, longest = np.zeros(max(len(states) - 1, 0), dtype=bool), len(states)
         else:
             longest = PROVEN_TOGETHER
-        known = proven.copy()
-        if not len(known):
+        if not len(proven):
             return JointPath(states.copy()), -1
-        middle = len(known) if middle is None else middle
-        pieces = _pieces(known[:middle], longest)
-        for first, last in _pieces(known[middle:][::-1], longest):
-            pieces.append((len(known) - last, len(known) - first))
-        refined = dict[int, np.ndarray]()  # states of each piece
-        # first those that may fail
-        for first, last in sorted(pieces, key=lambda piece: known[piece[0]]):
-            run, bad, passed = self._refined(states[first : last + 1], not known[first])
-            proven[first : first + passed] = True
-            if bad >= 0:
-                return None, first + bad
-            refined[first] = run.states
-        parts = [refined[first][min(first, 1) :] for first in sorted(refined)]
-        return JointPath(np.concatenate(parts)), -1
-
-    def _refined(self, states: np.ndarray, check: bool) -> tuple[JointPath, int, int]:
-        """Call `motion.refine_and_check`; return the path and its other results."""
         states = np.ascontiguousarray(states)
-        capacity = 8 * len(states) + 4 * int(JointPath(states).length / self.arrays.step) + 64
+        capacity = 24 * len(states) + 4 * int(JointPath(states).length / self.arrays.step) + 64
         out, segment = np.empty((capacity, states.shape[1])), np.empty(capacity, dtype=np.int64)
-        written, bad, passed = motion.refine_and_check(self.arrays, states, out, segment, check)
+        pieces = np.empty((len(proven), 5), dtype=np.int64)
+        middle = len(proven) if middle is None else middle
+        count = motion.refine_pieces(
+            self.arrays, states, proven, middle, longest, out, segment, pieces
+        )
         self.reraise()
-        return JointPath(out[:written].copy()), int(bad), int(passed)
+        if count < 0:
+            return None, -1 - int(count)
+        rows = sorted(pieces[:count].tolist())
+        # neighbouring pieces share a state
+        parts = [out[begin + (k > 0) : end] for k, *_, begin, end in rows]
+        return JointPath(np.concatenate(parts)), -1
 
 
 # motions of a path that are checked in one call: fewer are checked in vain behind one that fails,
 # more share a proof
 PROVEN_TOGETHER = 8
-
-
-def _pieces(known: np.ndarray, longest: int) -> list[tuple[int, int]]:
-    """Cut a row of motions (k,) bool into pieces of known ones, and of at most `longest` others."""
-    pieces = []
-    changes = (np.flatnonzero(np.diff(known)) + 1).tolist()
-    for first, last in pairwise([0, *changes, len(known)] if len(known) else []):
-        size = last - first if known[first] else longest
-        pieces += [(k, min(k + size, last)) for k in range(first, last, size)]
-    return pieces
 
 
 def direct_motion(

@@ -3,7 +3,8 @@
 ``git worktree add --detach ../before 253fbaf0``, then
 ``python -m cvqmpt_lab.experiments.bench.speed_targets ../before 20`` prints one table from 20
 problems of each suite. Words after the number choose parts of it, see PARTS. Times are processor
-times; limits of seconds are, too, so that other processes on the machine change little.
+times; limits of seconds are, too, so that other processes on the machine change little. Both
+checkouts compute with the same instructions, see `base.arithmetic`.
 """
 
 import json
@@ -200,11 +201,13 @@ class Checkout:
 
     def __init__(self, folder: Path) -> None:
         source = Path(__file__).read_text(encoding="utf-8")
+        from cvqmpt_lab.base.arithmetic import PINNED
+
         threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
         self._process = subprocess.Popen(
             [sys.executable, "-c", f"__file__ = {__file__!r}\n{source}", "answer"],
             cwd=folder,
-            env=os.environ | threads | {"PYTHONPATH": str(folder.resolve())},
+            env=os.environ | PINNED | threads | {"PYTHONPATH": str(folder.resolve())},
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
@@ -308,13 +311,15 @@ def cages(checkouts: Both, count: int) -> Iterator[Target]:
 
 
 def counts(checkouts: Both, count: int) -> Iterator[Target]:
-    """Work of problems that both solve."""
+    """Work and time of problems that both solve."""
     for kind in ("place-task", "line", "plane", "family-cage"):
         for planner in ("birrt", "roadmap"):
             cases = [("searched", kind, k, planner, 0) for k in range(count)]
             found = list(both(checkouts, cases, iterations=8_000))
             solved = [(now[2], before[2]) for now, before in found if now[0] and before[0]]
             yield Target(f"{kind}, `{planner}`: work", 1.0, ratio(solved), 1.02)
+            times = [(now[1], before[1]) for now, before in found if now[0] and before[0]]
+            yield Target(f"{kind}, `{planner}`: time", 1.0, ratio(times), 1.02)
 
 
 def units(checkouts: Both, count: int) -> Iterator[Target]:
@@ -377,7 +382,7 @@ def proofs(checkouts: Both, count: int) -> Iterator[Target]:
 
 def seeds(checkouts: Both, count: int) -> Iterator[Target]:
     """The better of two seeds over their mean: what two idle cores give on hard problems."""
-    for kind, indices in (("maze", range(count)), ("line", range(4, 6 * count, 6))):
+    for kind, indices in (("maze", range(count)), ("line", range(4, min(6 * count, 100), 6))):
         pairs = [
             [checkouts[NOW]("searched", kind, k, "roadmap", seed, seconds=5.0) for seed in (0, 1)]
             for k in indices

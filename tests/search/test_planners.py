@@ -283,16 +283,18 @@ def maze():
 
 def proofs(monkeypatch):
     """Record the rows of all motions that are proven."""
-    proven, refined = [], ConstrainedSpace._refined
+    found, checked_path = [], ConstrainedSpace.checked_path
 
-    def recorded(space, states, check):
-        path, bad, passed = refined(space, states, check)
-        if check:
-            proven.extend(np.hstack(pair).tobytes() for pair in pairwise(states[: passed + 1]))
-        return path, bad, passed
+    def recorded(space, states, proven=None, middle=None):
+        proven = np.zeros(len(states) - 1, dtype=bool) if proven is None else proven
+        before = proven.copy()
+        path = checked_path(space, states, proven, middle)
+        rows = zip(pairwise(states), proven & ~before, strict=True)
+        found.extend(np.hstack(pair).tobytes() for pair, new in rows if new)
+        return path
 
-    monkeypatch.setattr(ConstrainedSpace, "_refined", recorded)
-    return proven
+    monkeypatch.setattr(ConstrainedSpace, "checked_path", recorded)
+    return found
 
 
 @pytest.mark.parametrize("name", ["birrt", "cells", "roadmap"])
