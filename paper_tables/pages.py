@@ -18,7 +18,6 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.benchmarks.declarations import SUITES
-from cvqmpt_lab.benchmarks.results import provenance
 from cvqmpt_lab.benchmarks.results.provenance import PROVENANCE_FILE, digests_in, sessions
 from cvqmpt_lab.benchmarks.results.row import ResultRow
 from cvqmpt_lab.paper_tables.answer import answer_parts, whole_word
@@ -48,7 +47,7 @@ from cvqmpt_lab.paper_tables.measures import (
 from cvqmpt_lab.paper_tables.quoted import Quoted, clear
 from cvqmpt_lab.paper_tables.rendering import published_of, table_of, title_of
 from cvqmpt_lab.paper_tables.rule import Word
-from cvqmpt_lab.paper_tables.statements import CLAIMS, PUBLISHED, READING, STREAMS
+from cvqmpt_lab.paper_tables.statements import CLAIMS, PUBLISHED, READING
 from cvqmpt_lab.paper_tables.table_engine import by_planner, goalless_text
 from cvqmpt_lab.paper_tables.trainings import all_directories, training_lines
 from cvqmpt_lab.paper_tables.writers import BOLD, Lines, Ratio, estimate, markdown_tables
@@ -200,7 +199,6 @@ def answer_text(
         more=more,
         claims=claims,
         count=counted(claims),
-        older=STREAMS < provenance.STREAMS,
         docs=docs,
         page=page,
     )

@@ -249,7 +249,7 @@ def test_bounds_are_as_near_as_a_replicated_effect_needs():
 def test_the_page_of_the_rule_quotes_the_power_of_the_tuning_rows():
     rows = read_rows(RESULTS / "place-task-ompl-tuning" / "runs.csv")
     by = {}
-    for row in rows:
+    for row in (row for row in rows if row.seed == 0):
         cost = min(search_cost(row), 100.0) if row.solved else np.nan
         by.setdefault(row.planner, []).append(cost)
     cbirrt = by["ompl-projected"]
