@@ -1,4 +1,4 @@
-"""The rule is older than the rows that it judges: it stands unchanged in the commit that made them."""
+"""The rule is older than the rows that it judges: it stands in the commit that made them."""
 
 import ast
 import subprocess
