@@ -207,7 +207,8 @@ NAMED_SAMPLERS = {
         "transformer+decoded+every-waypoint+goals-apart+algorithm-2+in-ompl"
     ),
     "ompl-cvq-tuned": SamplerChoice.of(
-        "transformer+decoded+every-waypoint+algorithm-2+goals-ranked+free-draws+in-ompl"
+        "transformer+decoded+every-waypoint+algorithm-2+goals-ranked"
+        "+own-half+clearest-draw+free-draws+in-ompl"
     ),
     "ompl-cvq-published": SamplerChoice.of("published+decoded+goals-apart+in-ompl"),
     "cvq-wide": SamplerChoice.of("transformer+wide+projected+all-beams+reach=1"),

@@ -193,7 +193,8 @@ SHIPPED = (
     Planner(
         "ompl-cvq-tuned",
         "`ompl-opt-cvq-dense` with goals in order of predicted cost, tried again with longer "
-        "limits, colliding samples drawn again",
+        "limits; each tree samples its half of the sequence, the clearest of eight samples, drawn "
+        "again if it collides",
         _learned("named_sampler"),
         (5,),
         "in-ompl",
