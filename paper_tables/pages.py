@@ -49,7 +49,6 @@ from cvqmpt_lab.paper_tables.rendering import published_of, table_of, title_of
 from cvqmpt_lab.paper_tables.rule import Word
 from cvqmpt_lab.paper_tables.statements import CLAIMS, PUBLISHED, READING
 from cvqmpt_lab.paper_tables.table_engine import by_planner, goalless_text
-from cvqmpt_lab.paper_tables.trainings import all_directories, training_lines
 from cvqmpt_lab.paper_tables.writers import BOLD, Lines, Ratio, estimate, markdown_tables
 
 PAGE = PUBLISHED.parent / "README.md"
@@ -227,7 +226,6 @@ def page_text(
     """
     used = {name for item in claims for name in item.claim.suites}
     used |= {"place-task-published", "place-task-seconds", "histogram"}
-    used |= all_directories()
     return rendered(
         "claims.md.j2",
         banner=banner(found),
@@ -253,7 +251,6 @@ def page_text(
         if "place-task-seconds" in found
         else [],
         mechanisms=mechanism_lines(found),
-        trainings=training_lines(found),
         results=[_made_by(item, root) for name, item in found.items() if name in used],
     )
 

@@ -12,7 +12,7 @@ import pytest
 from made_rows import a_failure, a_row
 from scipy.special import stdtrit
 
-from cvqmpt_lab.paper_tables import answer, beside, trainings
+from cvqmpt_lab.paper_tables import answer, beside
 from cvqmpt_lab.paper_tables import claims as judged
 from cvqmpt_lab.paper_tables import evidence as evidence_module
 from cvqmpt_lab.paper_tables.claims import comparisons, judged_claims, sentence_level
@@ -158,32 +158,6 @@ def test_kinds_are_pooled_over_suites():
         parts.append(evidence(rows))
     (found,) = comparisons(claim, tuple(parts), 0.05)
     assert found.word is Word.REPLICATED and found.effect.means.n == 4 and found.count == 120
-
-
-def test_other_trainings_are_compared_with_the_baselines_rows_of_the_suite():
-    def rows(suite, **checks):
-        of_tasks = suite.startswith("multi")
-        phases = ("/1-reach-handle", "/3-reach-can", "/5-carry") if of_tasks else ("",)
-        return [
-            replace(row, suite=suite, problem=row.problem + phase)
-            for row in place_rows(**checks)
-            for phase in phases
-        ]
-
-    found = {}
-    for suite in trainings.SUITES:
-        found[suite] = evidence(rows(suite, ompl_cvq=10, ompl_projected=20, ompl_uniform=40))
-        for seed, checks in ((1, 12), (2, 8)):
-            name = trainings.directory_of(suite, seed)
-            # baselines in these directories are not used
-            found[name] = evidence(rows(suite, ompl_cvq=checks, ompl_projected=1))
-    for (_, planner, baseline), intervals in trainings.trained_ratios(found).items():
-        ratios = np.array([10, 12, 8]) / {"ompl-projected": 20, "ompl-uniform": 40}[baseline]
-        assert planner == "ompl-cvq" and [x.estimate for x in intervals] == pytest.approx(ratios)
-    lines = trainings.training_lines(found)
-    assert len(lines) == 1 + 2 * len(trainings.SUITES) and "training 2" in lines[0]
-    del found[name]
-    assert trainings.training_lines(found) == [], "no table of two trainings"
 
 
 def test_rows_of_old_random_streams_and_of_problems_used_before_are_not_judged(monkeypatch):
