@@ -19,6 +19,7 @@ from cvqmpt_lab.constraints.regions import Regions, jacobian, no_regions, residu
 from cvqmpt_lab.robot.kinematics import forward_kinematics
 from cvqmpt_lab.search import motion
 from cvqmpt_lab.search.motion import MAX_LENGTH_RATIO, bisect_motion, project_state
+from cvqmpt_lab.search.refine import refine_pieces
 from cvqmpt_lab.search.result import Counters, JointPath
 
 BACKENDS = ("compiled", "exact")
@@ -333,9 +334,7 @@ class ConstrainedSpace:
         out, segment = np.empty((capacity, states.shape[1])), np.empty(capacity, dtype=np.int64)
         pieces = np.empty((len(proven), 5), dtype=np.int64)
         middle = len(proven) if middle is None else middle
-        count = motion.refine_pieces(
-            self.arrays, states, proven, middle, longest, out, segment, pieces
-        )
+        count = refine_pieces(self.arrays, states, proven, middle, longest, out, segment, pieces)
         self.reraise()
         if count < 0:
             return None, -1 - int(count)
