@@ -30,7 +30,7 @@ class Solution:
     observe_seconds: float = 0.0
     # time of the whole call up to the path, without goals and cloud [s]
     wall_seconds: float | None = None
-    certificate_seconds: float | None = None  # time of all certificates of the call [s]
+    certificate_seconds: float | None = None  # time of certificates before `improvement` [s]
     # record of the optimization; `simplified` then has the best path
     improvement: Improvement | None = None
     # sampling distribution of the search; None if it used none

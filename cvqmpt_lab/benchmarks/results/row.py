@@ -178,7 +178,7 @@ class ResultRow:
     host: str | None = None
     half: str | None = None
     chosen: str | None = None
-    t_certify_s: float | None = None  # all certificates; not part of `t_total_s`
+    t_certify_s: float | None = None  # certificates before an improvement; not part of `t_total_s`
     # Numbers that only one suite measures, by name; None: undefined. In files they are the last
     # columns, with names ``measure:NAME``.
     measures: Mapping[str, float | None] = field(default_factory=dict, hash=False)
