@@ -51,8 +51,8 @@ from cvqmpt_lab.search.motion import (
 )
 from cvqmpt_lab.search.nearest import index_new_nodes, nearest_node
 from cvqmpt_lab.search.planner_interface import Deadline, Query, SamplingDistribution
-from cvqmpt_lab.search.refine import refine_and_check
 from cvqmpt_lab.search.result import JointPath, PlanResult
+from cvqmpt_lab.search.space import refine_and_check
 from cvqmpt_lab.search.work import search_work
 
 _work = kernel(search_work)

@@ -37,9 +37,9 @@ from cvqmpt_lab.constraints.regions import FunctionRows
 from cvqmpt_lab.constraints.task_space_region import upright
 from cvqmpt_lab.planning import pipeline
 from cvqmpt_lab.robot.kinematics import link_poses
-from cvqmpt_lab.search import birrt, lazy_roadmap, motion, refine, shortcut
+from cvqmpt_lab.search import birrt, lazy_roadmap, motion, shortcut
 from cvqmpt_lab.search.result import Budget
-from cvqmpt_lab.search.space import ConstrainedSpace
+from cvqmpt_lab.search.space import ConstrainedSpace, refine_and_check
 
 
 class Pair(NamedTuple):
@@ -157,9 +157,7 @@ SIX = np.zeros((3, 6))
         lambda space, trees: birrt.grow(space.arrays, trees, SIX, 0, 1.0),
         lambda space, trees: motion.bisect_motion(space.arrays, SIX[0], SIX[1], 1.0, SIX),
         lambda space, trees: motion.motion_free(space.arrays, SIX[0], SIX[1]),
-        lambda space, trees: refine.refine_and_check(
-            space.arrays, SIX, SIX, np.zeros(6, dtype=np.int64)
-        ),
+        lambda space, trees: refine_and_check(space.arrays, SIX, SIX, np.zeros(6, dtype=np.int64)),
         lambda space, trees: shortcut.shortcut(space.arrays, SIX, 3, np.zeros((1, 2)), SIX),
         lambda space, trees: motion.states_valid(space.arrays, SIX, np.zeros(3, bool)),
         lambda space, trees: link_poses(space.robot.kinematics, SIX),
