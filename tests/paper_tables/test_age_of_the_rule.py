@@ -35,11 +35,13 @@ def code(text):
     return ast.dump(tree)
 
 
-def deciding(text):
-    """Return what decides in the file of sentences: rows, problems, planners, measures, limits."""
+def deciding(text, suite):
+    """Return the rule of streams, a suite's problems, and what decides each sentence by title."""
     data = tomllib.loads(text)
-    claims = [{k: v for k, v in item.items() if k not in WORDS} for item in data["claim"]]
-    return data["streams"], data["problems"], claims
+    claims = {
+        item["title"]: {k: v for k, v in item.items() if k not in WORDS} for item in data["claim"]
+    }
+    return data["streams"], data["problems"][suite], claims
 
 
 @pytest.mark.parametrize("suite", SUITES)
@@ -57,4 +59,9 @@ def test_the_commit_that_made_the_rows_has_this_rule(suite):
             now = (RESULTS.parents[1] / path).read_text(encoding="utf-8")
             assert code(git("show", f"{commit}:{path}")) == code(now), path
         now = (RESULTS.parents[1] / FILE).read_text(encoding="utf-8")
-        assert deciding(git("show", f"{commit}:{FILE}")) == deciding(now)
+        *conditions, claims = deciding(now, suite)
+        *earlier, before = deciding(git("show", f"{commit}:{FILE}"), suite)
+        assert earlier == conditions
+        for title, decides in claims.items():
+            if suite in decides["suites"]:
+                assert before[title] == decides
