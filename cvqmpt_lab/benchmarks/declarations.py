@@ -1,15 +1,15 @@
 """Every suite, declared once: its problems, planners, amounts and table, see `suite_parts`.
 
-The suites of the kitchen stand here, others in `scene_suites`. A file NAME_suite.py with a `SUITE`
-adds one.
+The suites of the kitchen stand here, others in `paper_suites` and `scene_suites`. A file
+NAME_suite.py with a `SUITE` adds one.
 """
 
-import math
 from collections.abc import Mapping
 from functools import partial
 from itertools import product
 
 from cvqmpt_lab.base.files import Imported, Modules
+from cvqmpt_lab.benchmarks.paper_suites import paper_suites
 from cvqmpt_lab.benchmarks.scene_suites import scene_suites, two_arm_suites
 from cvqmpt_lab.benchmarks.suite_parts import (
     Amount,
@@ -108,133 +108,6 @@ def _place_suites() -> list[Suite]:
                     "on problems that are not in this table.",
                 ),
             ),
-        ),
-    ]
-
-
-def _ompl_suites() -> list[Suite]:
-    """Suites of the paper's experiment: all planners inside OMPL, limits in the paper's seconds."""
-    # of each suite that a sentence of the paper is judged by, the first five problems
-    small = partial(Amount, profile="small", problems=5, cost=100.0)
-    experiment = partial(
-        Suite,
-        make=problem_maker("place_task:place_problem"),
-        shown_in_hand=Imported("cvqmpt_lab.benchmarks.place_task:carried_can"),
-        planners=("ompl-projected", *PlannerGroups.slow, *PlannerGroups.in_ompl),
-        cost=100.0,
-        simplified_by_ompl=True,
-        table=Imported("cvqmpt_lab.paper_tables.ompl_table:ompl_table"),
-        paper=("place_task.csv", "Place Task"),
-    )
-    sensed = range(500, 1115)  # nobody has looked at them
-    by_kind = partial(
-        experiment,
-        planners=("ompl-projected", "ompl-uniform", "ompl-cvq", "ompl-opt-cvq"),
-        shown_in_hand=None,
-        amounts=(Amount(cost=100.0, late=True), small(planners=PlannerGroups.paper_alone)),
-        table=Imported("cvqmpt_lab.paper_tables.ompl_table:kinds_table"),
-        paper=None,
-    )
-    second = partial(
-        experiment,
-        planners=PlannerGroups.paper_alone,
-        amounts=(Amount(cost=100.0, late=True), small()),
-    )
-    return [
-        experiment(
-            name="place-task-ompl",
-            title="Place task inside OMPL: the paper's experiment, in its seconds",
-            problems=range(6000, 6400),  # nobody has looked at them, see docs/judgement.md
-            amounts=(
-                Amount(cost=100.0),
-                Amount(profile="paper", problems=100, cost=100.0, planners=PlannerGroups.paper),
-                small(planners=PlannerGroups.paper),
-            ),
-        ),
-        experiment(
-            name="place-task-published",
-            title="The same as the published code has it: from the shelf to the counter",
-            problems=range(6400, 6550),  # nobody has looked at them
-            make=problem_maker("published:published_problem"),
-            amounts=(Amount(cost=100.0, late=True),),
-        ),
-        # how far the answer depends on the start: the first of these environments, one start each
-        *(
-            by_kind(
-                name=f"place-task-published-{grasp}",
-                title=f"The first of them from one start, {described}",
-                problems=range(6400, 6430),
-                make=problem_maker("published:published_problem", grasp=grasp),
-                amounts=(Amount(cost=100.0, late=True),),
-                table=Imported("cvqmpt_lab.paper_tables.ompl_table:ompl_table"),
-            )
-            for grasp, described in (
-                ("ordinary", "away from all joint limits"),
-                ("at-limit", "with a joint at its limit"),
-            )
-        ),
-        experiment(
-            name="sensor-ompl",
-            title="Scanned scenes inside OMPL: planned in the map, judged in truth",
-            problems=sensed,
-            make=problem_maker("sensor_task:sensor_problem"),
-            reach=math.inf,  # as in the script of the paper's robot
-            shown_in_hand=None,
-            amounts=(Amount(cost=100.0, late=True), small(planners=PlannerGroups.paper)),
-            paper=("place_task.csv", "Physical robot"),
-        ),
-        # Second samples, for sentences that the first ones did not decide: as many problems as
-        # `cvqmpt claims` asked for, or as many as are left below 9000. Nobody has looked at them.
-        second(
-            name="place-task-ompl-more",
-            title="Place task inside OMPL, more problems for sentences that 400 did not decide",
-            problems=range(6550, 9000),
-            amounts=(
-                Amount(cost=100.0, late=True),
-                Amount(profile="paper", problems=100, cost=100.0),
-                small(),
-            ),
-        ),
-        second(
-            name="sensor-ompl-more",
-            title="Scanned scenes inside OMPL, more of them for sentences that 615 did not decide",
-            problems=range(1115, 6515),
-            make=problem_maker("sensor_task:sensor_problem"),
-            reach=math.inf,
-            shown_in_hand=None,
-            paper=("place_task.csv", "Physical robot"),
-        ),
-        experiment(
-            name="sensor-ompl-short",
-            title="The same, each motion of the searches with OMPL's samples at most 2.6 rad long",
-            problems=sensed,
-            make=problem_maker("sensor_task:sensor_problem"),
-            shown_in_hand=None,
-            planners=("ompl-projected", *PlannerGroups.slow),
-            amounts=(Amount(cost=100.0, late=True, planners=("ompl-projected",)),),
-            paper=None,
-        ),
-        by_kind(
-            name="constraints-ompl",
-            title="Eight kinds of constraints inside OMPL, zero-shot",
-            problems=range(1072, 1344),  # nobody has looked at them
-            make=problem_maker("family_task:constraint_problem"),
-        ),
-        by_kind(
-            name="constraints-more-ompl",
-            title="Six kinds that are no bounds on a hand's pose inside OMPL, zero-shot",
-            # nobody has looked at them; the last are four of each kind
-            problems=(
-                *range(1800, 1980),
-                *(k + i for k in range(1980, 2160, 30) for i in range(4)),
-            ),
-            # up to 20 goals, because the published budget is one for each goal
-            make=problem_maker("more_constraints:more_constraints_problem", each=30, around=0.05),
-        ),
-        experiment(
-            name="place-task-ompl-tuning",
-            title="The same on problems that settings were chosen on",
-            problems=range(1000, 1200),
         ),
     ]
 
@@ -406,7 +279,7 @@ SUITES: Mapping[str, Suite] = {
     suite.name: suite
     for suite in (
         *_place_suites(),
-        *_ompl_suites(),
+        *paper_suites(),
         *scene_suites(),
         *_factorial_suites(),
         *two_arm_suites(),
