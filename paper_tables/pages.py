@@ -56,8 +56,10 @@ OWN_PAGE, OWN_PICTURE = "claims.md", "claims.png"  # of own rows, in their folde
 TABLE_I, BY_RULE = "place-task-ompl", "Table I by the rule"
 PAPER_TABLES = {  # titles of the paper's tables on the page of claims, by results directory
     TABLE_I: "Table I, place task",
+    "place-task-ompl-more": "The same, second sample",
     "place-task-published": "The same in the direction of the published code",
     "sensor-ompl": "Table I, sensed scenes",
+    "sensor-ompl-more": "Sensed scenes, second sample",
     "multi-sequence-published": "Table II, multi-sequence task",
 }
 LINK = re.compile(r"\[([^]]+)\]\([^)]*\)")  # of markdown
@@ -225,7 +227,7 @@ def page_text(
         committed: for own rows: the committed ones, with which the page begins.
     """
     used = {name for item in claims for name in item.claim.suites}
-    used |= {"place-task-published", "place-task-seconds", "histogram"}
+    used |= {*PAPER_TABLES, "place-task-seconds", "histogram"}
     return rendered(
         "claims.md.j2",
         banner=banner(found),
