@@ -45,7 +45,7 @@ def _place_suites() -> list[Suite]:
             amounts=(
                 Amount(seeds=5, planners=PlannerGroups.quick),
                 Amount(problems=60, cutoff=5.0, planners=controlled, folder="controls"),
-                Amount(planners=PlannerGroups.slow, late=True),
+                Amount(problems=60, planners=PlannerGroups.slow, late=True),
                 Amount(problems=30, planners=("ompl-bkpiece",), late=True),
             ),
             paper=paper,
@@ -225,7 +225,7 @@ def _task_suites() -> list[Suite]:
             problems=range(66),
             amounts=(
                 Amount(planners=PlannerGroups.quick),
-                Amount(problems=16, planners=PlannerGroups.slow, late=True),
+                Amount(problems=8, planners=PlannerGroups.slow, late=True),
             ),
         ),
         multi_sequence(
@@ -256,7 +256,8 @@ def _task_suites() -> list[Suite]:
                 ),
             ),
             amounts=(
-                Amount(cost=100.0, late=True),
+                few(planners=("ompl-uniform", *PlannerGroups.paper_alone), late=True),
+                few(problems=30, planners=PlannerGroups.slow, late=True),
                 few(profile="paper", problems=10),
                 few(profile="small", problems=5),
             ),

@@ -10,15 +10,16 @@ from functools import partial
 from cvqmpt_lab.base.files import Imported
 from cvqmpt_lab.benchmarks.suite_parts import Amount, PlannerGroups, Suite, problem_maker
 
-_ALL = Amount(cost=100.0, late=True)  # all planners and problems of a suite
-# the first five problems
-_small = partial(Amount, profile="small", problems=5, cost=100.0)
+_FAST = ("ompl-projected", *PlannerGroups.in_ompl)
+_all = partial(Amount, cost=100.0, late=True)  # all problems of a suite
+_slow = partial(_all, planners=PlannerGroups.slow)  # atlas-rrt and tb-rrt take 5 s a run
+_small = partial(Amount, profile="small", problems=5, cost=100.0)  # the first five problems
 _experiment = partial(
     Suite,
     make=problem_maker("place_task:place_problem"),
     shown_in_hand=Imported("cvqmpt_lab.benchmarks.place_task:carried_can"),
     planners=("ompl-projected", *PlannerGroups.slow, *PlannerGroups.in_ompl),
-    amounts=(_ALL,),
+    amounts=(_all(),),
     cost=100.0,
     simplified_by_ompl=True,
     table=Imported("cvqmpt_lab.paper_tables.ompl_table:ompl_table"),
@@ -45,7 +46,8 @@ def _place_suites() -> list[Suite]:
             title="Place task inside OMPL: the paper's experiment, in its seconds",
             problems=range(6000, 6400),
             amounts=(
-                Amount(cost=100.0),
+                Amount(cost=100.0, planners=_FAST),
+                _slow(problems=120),
                 Amount(profile="paper", problems=100, cost=100.0, planners=PlannerGroups.paper),
                 _small(planners=PlannerGroups.paper),
             ),
@@ -56,13 +58,14 @@ def _place_suites() -> list[Suite]:
             title="Place task inside OMPL, more problems for sentences that 400 did not decide",
             problems=range(6550, 9000),
             planners=PlannerGroups.paper_alone,
-            amounts=(_ALL, Amount(profile="paper", problems=100, cost=100.0), _small()),
+            amounts=(_all(), Amount(profile="paper", problems=100, cost=100.0), _small()),
         ),
         _experiment(
             name="place-task-published",
             title="The same as the published code has it: from the shelf to the counter",
             problems=range(6400, 6550),
             make=problem_maker("published:published_problem"),
+            amounts=(_all(planners=_FAST), _slow(problems=30)),
         ),
         # how far the answer depends on the start: the first of these environments, one start each
         *(
@@ -98,7 +101,11 @@ def _scanned_suites() -> list[Suite]:
             name="sensor-ompl",
             title="Scanned scenes inside OMPL: planned in the map, judged in truth",
             problems=first,
-            amounts=(_ALL, _small(planners=PlannerGroups.paper)),
+            amounts=(
+                _all(planners=_FAST),
+                _slow(problems=30),
+                _small(planners=PlannerGroups.paper),
+            ),
         ),
         # a second sample, as large as `cvqmpt claims` asked for
         as_on_the_robot(
@@ -106,14 +113,14 @@ def _scanned_suites() -> list[Suite]:
             title="Scanned scenes inside OMPL, more of them for sentences that 615 did not decide",
             problems=range(1115, 6515),
             planners=PlannerGroups.paper_alone,
-            amounts=(_ALL, _small()),
+            amounts=(_all(), _small()),
         ),
         scanned(
             name="sensor-ompl-short",
             title="The same, each motion of the searches with OMPL's samples at most 2.6 rad long",
             problems=first,
             planners=("ompl-projected", *PlannerGroups.slow),
-            amounts=(Amount(cost=100.0, late=True, planners=("ompl-projected",)),),
+            amounts=(_all(planners=("ompl-projected",)),),
             paper=None,
         ),
     ]
@@ -123,7 +130,7 @@ def _suites_of_kinds() -> list[Suite]:
     """Return suites of fourteen kinds of constraints."""
     by_kind = partial(
         _compared,
-        amounts=(_ALL, _small(planners=PlannerGroups.paper_alone)),
+        amounts=(_all(), _small(planners=PlannerGroups.paper_alone)),
         table=Imported("cvqmpt_lab.paper_tables.ompl_table:kinds_table"),
     )
     return [

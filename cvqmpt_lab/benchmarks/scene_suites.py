@@ -212,7 +212,7 @@ def _sensed_and_unconstrained() -> list[Suite]:
             make=problem_maker("sensor_task:sensor_problem"),
             amounts=(
                 Amount(seeds=3, planners=PlannerGroups.quick),
-                Amount(planners=PlannerGroups.slow, late=True),
+                Amount(problems=40, planners=PlannerGroups.slow, late=True),
             ),
             table=table_maker("layouts:place_table", sensed=True),
             paper=("place_task.csv", "Physical robot"),
