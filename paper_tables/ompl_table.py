@@ -8,6 +8,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import partial
+from statistics import fmean
 
 from cvqmpt_lab.benchmarks.results.row import ResultRow
 from cvqmpt_lab.benchmarks.results.statistics import (
@@ -76,25 +77,31 @@ def means_ratio(baseline: str, value: Value, both: bool = False) -> Measure:
         baseline: name of a planner.
         value: of a row.
         both: whether both means are over the problems that both solved, as for lengths; otherwise
-            each is over those that its planner solved.
+            each is over those that its planner solved. Seeds of a problem are averaged first.
     """
 
     def known(rows: Rows) -> dict[ProblemKey, float]:
         found = {problem_key(row): value(row) if row.solved else math.nan for row in rows}
         return {key: x for key, x in found.items() if x is not None}
 
+    def mean(seeds: Iterable[float]) -> float:
+        solved = [x for x in seeds if not math.isnan(x)]
+        return fmean(solved) if solved else math.nan
+
     def measure(rows: Rows, runs: SuiteRuns) -> Interval:
         if rows[0].planner == baseline:
             return UNDEFINED
         own, other = known(rows), known(runs.baseline(baseline))
-        pairs = [(own[key], other[key]) for key in own if key in other]
+        pairs = [(key[1], (own[key], other[key])) for key in own if key in other]
         if both:
-            pairs = [pair for pair in pairs if not math.isnan(sum(pair))]
+            pairs = [pair for pair in pairs if not math.isnan(sum(pair[1]))]
         if not pairs:
             return UNDEFINED
-        ours, theirs = zip(*pairs, strict=True)
+        # seeds of one problem are not independent: their mean counts once
+        problems = [map(mean, zip(*seeds, strict=True)) for seeds in grouped(pairs).values()]
+        ours, theirs = zip(*problems, strict=True)
         found = ratio_of_means(ours, theirs, 1.0 - CONFIDENCE, TABLE_DRAWS)
-        return found if len(pairs) >= FEWEST_PROBLEMS else found._replace(low=None, high=None)
+        return found if len(ours) >= FEWEST_PROBLEMS else found._replace(low=None, high=None)
 
     return measure
 

@@ -19,6 +19,7 @@ from cvqmpt_lab.paper_tables.claims import comparisons, judged_claims, sentence_
 from cvqmpt_lab.paper_tables.committed import README, RESULTS
 from cvqmpt_lab.paper_tables.evidence import Evidence
 from cvqmpt_lab.paper_tables.failures import failure_lines
+from cvqmpt_lab.paper_tables.ompl_table import ompl_table
 from cvqmpt_lab.paper_tables.pages import PAGE, report_html
 from cvqmpt_lab.paper_tables.rule import Word
 from cvqmpt_lab.paper_tables.statements import CLAIMS, PROBLEMS
@@ -70,6 +71,16 @@ def test_a_failed_run_is_left_out_of_its_planners_mean_and_a_longer_run_costs_th
     (found,) = comparisons(BY_TITLE["almost twice as fast"], (evidence(rows),), 0.05)
     assert found.effect.means.high < 0.5 and found.failed == (30, 0)
     assert found.within.fewer and found.word is Word.STATISTIC
+
+
+def test_seeds_of_a_problem_count_once_in_ratios_of_means():
+    rows = place_rows(ompl_cvq=10, ompl_projected=25)
+    once, thrice = (
+        ompl_table([replace(row, seed=seed) for seed in range(seeds) for row in rows])
+        for seeds in (1, 3)
+    )
+    of_both = [table.sections["Table I by the rule"] for table in (once, thrice)]
+    assert re.search(r"0\.400 \[0\.\d+, 0\.\d+\]", str(of_both[0])) and of_both[0] == of_both[1]
 
 
 def test_five_ways_to_count_failures_stand_below_the_claim_of_time():
@@ -355,7 +366,8 @@ def length(row):
 def test_five_verdicts_follow_from_the_rows_by_other_code(
     title, planner, baseline, paper, committed_claims
 ):
-    claim, suite = BY_TITLE[title], "place-task-ompl"
+    claim = BY_TITLE[title]
+    (suite,) = claim.suites
     (of,) = (item for item in committed_claims if item.claim is claim)
     (found,) = (x for x in of.comparisons if (x.planner, x.baseline) == (planner, baseline))
     of_length = claim.measure == "length"
@@ -381,13 +393,13 @@ def test_the_readmes_sentences_have_the_numbers_of_the_rows():
     told = [float(x) for x in re.findall(r"(\d\.\d+) \[", written)]
     suite = "place-task-ompl"
 
-    def ratio(planner, baseline, value=cost, both=False):
+    def ratio(planner, baseline, value=cost, both=False, suite=suite):
         return np.divide(*np.nanmean(columns(suite, planner, baseline, value, both), axis=1))
 
     cheap = ratio("ompl-cvq", "ompl-projected", lambda row: cost(row, 55e-6, 80e-6))
     means = [ratio("ompl-cvq", "ompl-projected"), cheap, ratio("ompl-cvq", "ompl-uniform")]
     means.append(ratio("ompl-cvq", "ompl-projected", length, True))
-    means.append(ratio("ompl-opt-cvq", "ompl-cvq"))
+    means.append(ratio("ompl-opt-cvq", "ompl-cvq", suite="place-task-ompl-more"))
     assert told[:5] == pytest.approx(means, abs=0.006)
     shares = [int(x) for x in re.findall(r"(\d+) %", written.partition("Within 10 s")[2])]
     both = columns(suite, "ompl-cvq", "ompl-projected", cost)
