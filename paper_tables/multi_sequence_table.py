@@ -25,7 +25,8 @@ from cvqmpt_lab.paper_tables.measures import (
     share_of,
     solved,
 )
-from cvqmpt_lab.paper_tables.statements import CBIRRT, PublishedValue
+from cvqmpt_lab.paper_tables.ompl_table import capped, mean_cost
+from cvqmpt_lab.paper_tables.statements import CBIRRT, IN_OMPL, PublishedValue
 from cvqmpt_lab.paper_tables.table_engine import Column, Entry, SuiteTable
 from cvqmpt_lab.paper_tables.writers import Lines, number
 
@@ -139,6 +140,7 @@ PHASE_COLUMNS: Mapping[str, Column] = {
     "execution": _median("execution", "execution_time", interval=True),
     "length": _median("path length", "path_length", "rad"),
 }
+COST_COLUMN = Column("cost [s]", "s", mean_cost("search_cost"))
 TASK_HEADLINES = {"accuracy": {"ours": "solved"}} | {
     time: {"ours": time_metric(time, "paper", "mean")} for time in TIMES
 }
@@ -147,14 +149,24 @@ TASK_NOTES = (
     "for an interval.",
     "A task counts as solved when every phase has a certified path that could be timed; Wilson "
     "interval.",
-    "Planning: wall-clock time of goals, networks, search and simplification, including attempts "
-    "that were undone later. Mean over solved tasks (bootstrap interval), because the paper gives "
-    "means; in the median, failures count as infinite.",
     "Execution: duration of the fastest motion within a tenth of the joints' velocity and "
     "acceleration limits, at rest between phases. The paper's number is the wall-clock time of a "
     "simulated controller that follows waypoints, so that only ratios can be compared.",
     "Fallbacks: phases whose path was found by another method than the named planner; they count "
     "as runs of the named planner.",
+)
+OF_SOLVED = (
+    "Mean over solved tasks (bootstrap interval), because the paper gives means; in the median, "
+    "failures count as infinite."
+)
+TIMED_NOTE = (
+    "Planning: wall-clock time of goals, networks, search and simplification, including attempts "
+    f"that were undone later. {OF_SOLVED}"
+)
+PRICED_NOTE = (
+    "Planning, and cost of a phase (mean over solved runs): counted work at the prices of the "
+    "published code, at most 100 s a phase; other times of phases are seconds of this machine. "
+    f"{OF_SOLVED}"
 )
 
 ABSENT = (
@@ -163,8 +175,16 @@ ABSENT = (
 )
 
 
+def _cost(row: ResultRow) -> float:
+    """Return the cost of a phase in the paper's seconds."""
+    return capped("search_cost")(row) or 0.0
+
+
 def task_table(
-    rows: Iterable[ResultRow], published: Sequence[PublishedValue], notes: Sequence[str] = ()
+    rows: Iterable[ResultRow],
+    published: Sequence[PublishedValue],
+    notes: Sequence[str] = (),
+    priced: bool = False,
 ) -> SuiteTable:
     """Return the paper's Table II for both sets of phases, phases, fallbacks, failures and notes.
 
@@ -172,16 +192,23 @@ def task_table(
         rows: rows of one suite of tasks.
         published: the paper's numbers.
         notes: further notes of the suite.
+        priced: whether planning is the price of counted work, for planners inside OMPL.
 
     Raises:
         InvalidInputError: a row is not a phase of a task.
     """
+    if priced:
+        published = [
+            replace(value, planner=IN_OMPL.get(value.planner, value.planner)) for value in published
+        ]
     runs = table.suite_runs(rows, published)
     names = {split_problem(row.problem) for row in runs.rows}
     phases = [phase for _, phase in sorted({(name.number, name.phase) for name in names})]
     found, tasks, by_phase = [], [], []
+    columns = {"cost": COST_COLUMN, **PHASE_COLUMNS} if priced else PHASE_COLUMNS
     for name, own in runs.groups.items():
-        tasks.append(table.entry(name, own, runs, TASK_COLUMNS, published))
+        timed = [replace(row, t_total_s=_cost(row)) for row in own] if priced else own
+        tasks.append(table.entry(name, timed, runs, TASK_COLUMNS, published))
         reached = [row for row in own if row.fail_reason is not FailReason.NOT_REACHED]
         tried = grouped((split_problem(row.problem).phase, row) for row in reached)
         parts = [
@@ -189,7 +216,7 @@ def task_table(
                 name,
                 tried.get(phase, []),
                 runs,
-                PHASE_COLUMNS,
+                columns,
                 group=(phase,),
                 suffix=f"_in_{phase}",
             )
@@ -212,6 +239,7 @@ def task_table(
         **table.counted(tasks),
         "Notes": [
             *TASK_NOTES,
+            PRICED_NOTE if priced else TIMED_NOTE,
             *notes,
             *([] if CBIRRT in runs.groups else [ABSENT]),
             *table.run_notes(runs),

@@ -242,6 +242,7 @@ def _task_suites() -> list[Suite]:
             cost=100.0,
             table=table_maker(
                 "multi_sequence_table:task_table",
+                priced=True,
                 notes=(
                     "Each phase is a problem of its own, planned whether others fail or not. Tasks "
                     "differ in the start of the first phase, in the goals of the last one, and in "
@@ -269,7 +270,9 @@ def _task_suites() -> list[Suite]:
             make=problem_maker("published:planned_door_task"),
             planners=("ompl-projected", *PlannerGroups.slow, *PlannerGroups.in_ompl),
             cost=100.0,
-            table=table_maker("multi_sequence_table:task_table", notes=(planned_door, same_pose)),
+            table=table_maker(
+                "multi_sequence_table:task_table", priced=True, notes=(planned_door, same_pose)
+            ),
             # the others fail in the approach
             amounts=(few(late=True),),
         ),
