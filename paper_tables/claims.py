@@ -70,6 +70,8 @@ class Comparison:
     pybullet: tuple[Effect, Word] | None = None  # at the prices of PyBullet's kinematics
     needed: int | None = None  # problems that would decide an inconclusive comparison
     seconds: float = 0.0  # both planners' time for a problem on this machine [s]
+    # kinds without an effect: a planner solved fewer than `FEWEST_SOLVED` of their problems
+    left_out: tuple[str, ...] = ()
 
     @property
     def told(self) -> str:
@@ -268,7 +270,10 @@ def _compared(
     kinds = _values(claim, parts, prices)
     if not kinds:
         return found
-    effects = _effects(claim, [*kinds.values()], level)
+    by_kind = {
+        kind: Effect.of_prices(ours, theirs, level) for kind, (ours, theirs) in kinds.items()
+    }
+    effects = _effects(claim, [*by_kind.values()], level)
     own, other = (np.concatenate(sides, axis=1) for sides in zip(*kinds.values(), strict=True))
     within: list[Within | None] = [None] * len(prices)
     if timed:
@@ -311,12 +316,12 @@ def _compared(
         words=words,
         pybullet=pybullet,
         needed=needed,
+        left_out=tuple(kind for kind, made in by_kind.items() if made[0].means.low is None),
     )
 
 
-def _effects(claim: Claim, kinds: Sequence[Sides], level: float) -> list[Effect]:
+def _effects(claim: Claim, by_kind: Sequence[list[Effect]], level: float) -> list[Effect]:
     """Return the effect at each price; those of kinds are pooled if the claim says so."""
-    by_kind = [Effect.of_prices(own, other, level) for own, other in kinds]
     if not claim.pooled:
         return by_kind[0]
     made = []
