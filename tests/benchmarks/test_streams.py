@@ -4,9 +4,12 @@ import numpy as np
 import pytest
 
 from cvqmpt_lab.benchmarks.declarations import SUITES
+from cvqmpt_lab.benchmarks.item import Phases
 from cvqmpt_lab.benchmarks.place_task import place_problem
 from cvqmpt_lab.benchmarks.published import published_problem
 from cvqmpt_lab.constraints.task_space_region import upright_box
+from cvqmpt_lab.features.tasks.solve import phase_seed
+from cvqmpt_lab.features.tasks.task import Task
 from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.scene.scene import Attachment
@@ -14,7 +17,10 @@ from cvqmpt_lab.scene.shapes import Sphere
 from cvqmpt_lab.search.result import Budget
 
 PROBLEMS = 100  # of a suite with --long; otherwise of the suites whose problems are made fast
-FAST = ("place-task", "place-task-published", "place-task-single-goal", "two-arms", "passages")
+FAST = (
+    *("place-task", "place-task-published", "place-task-single-goal", "passages"),
+    *("multi-sequence", "multi-sequence-published", "multi-sequence-planned-door"),
+)
 DATA = ("motion-bench", "motion-bench-upright")  # problems of an archive that is downloaded
 
 
@@ -22,21 +28,24 @@ def first_numbers(problem):
     return problem.random_stream(0).bytes(16)
 
 
-def problems_of(suite, most):
-    """Problems of a suite, without those that could not be made, and tasks."""
-    for index in list(suite.problems)[:most]:
-        item = suite.make(index)
-        item = getattr(item, "problem", item)
-        if isinstance(item, PlanningProblem):
-            yield item
+def first_numbers_of(item):
+    """First random numbers of a problem, or of the phases of a task; none if it was not made."""
+    item = getattr(item, "problem", item)
+    if isinstance(item, PlanningProblem):
+        return [first_numbers(item)]
+    phases = item.problems if isinstance(item, Phases) else ()
+    if isinstance(item, Task):
+        phases = [phase.name for phase in item.phases]
+    return [phase_seed(0, item.name, phase) for phase in phases]
 
 
 @pytest.mark.parametrize("name", [name for name in SUITES if name not in DATA])
 def test_no_two_problems_of_a_suite_have_equal_draws(name, request):
     if name not in FAST and not request.config.getoption("--long"):
         pytest.skip("problems of this suite take long to make: --long")
-    made = [first_numbers(problem) for problem in problems_of(SUITES[name], PROBLEMS)]
-    assert len(set(made)) == len(made)
+    items = map(SUITES[name].make, SUITES[name].problems[:PROBLEMS])
+    made = [numbers for item in items for numbers in first_numbers_of(item)]
+    assert len(set(made)) == len(made) >= 10
 
 
 def test_numbers_depend_on_what_the_problem_is_and_not_on_its_name_or_goals(problem):
