@@ -95,6 +95,6 @@ def repeated(found: Mapping[str, Evidence], committed: Mapping[str, Evidence]) -
     return (
         f"Compared with the committed rows of the same {len(both)} runs, {same} have the same "
         f"result (solved or not), {exact} exactly the same counts of projections, Newton steps and "
-        f"state checks, and {near} the same within 1 %. Another processor or version shifts "
-        "counts a little."
+        f"state checks, and {near} the same within 1 %. Other versions of packages "
+        "or another arithmetic (`cvqmpt doctor`) shift counts a little."
     )

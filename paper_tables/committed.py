@@ -153,11 +153,7 @@ def committed_pages(
     texts = {pages.PAGE: pages.page_text(found, claims, pages.PAGE.parent)}
     if in_checkout():
         quoted = Quoted(found)
-        texts[DOCS / "results.md"] = pages.rendered(
-            "results.md.j2",
-            quoted=quoted,
-            answer=pages.answer_text(found, claims, "", "../paper_tables/README.md", more=False),
-        )
+        texts[DOCS / "results.md"] = pages.rendered("results.md.j2", quoted=quoted)
         parts_of_answer = answer_parts(claims)
         texts[DOCS / "paper.md"] = pages.rendered(
             "paper.md.j2",

@@ -53,7 +53,7 @@ from cvqmpt_lab.paper_tables.writers import BOLD, Lines, Ratio, estimate, markdo
 
 PAGE = PUBLISHED.parent / "README.md"
 OWN_PAGE, OWN_PICTURE = "claims.md", "claims.png"  # of own rows, in their folder
-TABLE_I, BY_RULE = "place-task-ompl", "Table I by the rule"
+TABLE_I = "place-task-ompl"
 PAPER_TABLES = {  # titles of the paper's tables on the page of claims, by results directory
     TABLE_I: "Table I, place task",
     "place-task-ompl-more": "The same, second sample",
@@ -62,6 +62,7 @@ PAPER_TABLES = {  # titles of the paper's tables on the page of claims, by resul
     "sensor-ompl-more": "Sensed scenes, second sample",
     "multi-sequence-published": "Table II, multi-sequence task",
 }
+CHEAP = "if projections are cheap"  # title of the column
 LINK = re.compile(r"\[([^]]+)\]\([^)]*\)")  # of markdown
 REPORT_COLUMNS = (
     "problem",
@@ -136,14 +137,20 @@ def reading(links: bool = True) -> list[str]:
 
 def summary_lines(claims: Iterable[JudgedClaim]) -> Lines:
     """Return a line for each claim: its first comparison, its word, and what would decide it."""
-    lines = [["claim", "first comparison", "paper", "here", "verdict", "to decide"]]
+    lines = [["claim", "first comparison", "paper", "here", "verdict", CHEAP, "to decide"]]
     for item in claims:
-        cells = ["–"] * 3
+        cells, cheap = ["–"] * 3, "–"
         if item.comparisons:
             first = item.comparisons[0]
             cells = [f"{first.planner} / {first.baseline}", *first.cells[:2]]
-        lines.append([item.claim.title, *cells, item.word, item.to_decide])
+            cheap = cheap_text(first)
+        lines.append([item.claim.title, *cells, item.word, cheap, item.to_decide])
     return lines
+
+
+def cheap_text(item: Comparison) -> str:
+    """Return the ratio and the word at the prices of PyBullet's kinematics; "–": not a time."""
+    return f"{estimate(item.pybullet[0].means)}, {item.pybullet[1]}" if item.pybullet else "–"
 
 
 def comparison_lines(comparisons: Iterable[Comparison]) -> Lines:
@@ -151,20 +158,16 @@ def comparison_lines(comparisons: Iterable[Comparison]) -> Lines:
     lines = [
         ["planner", "against", "paper", "here", "geometric mean", "problems", "failed", "word"]
         + ["within the same time, at worst", "word with slower networks"]
-        + ["if projections are cheap", "to decide"]
+        + [CHEAP, "to decide"]
     ]
     for item in comparisons:
         first = next(iter(item.words.values()), item.word)  # with networks that cost nothing
         others = [f"{name}: {word}" for name, word in item.words.items() if word is not first]
         others = [str(first), *others] if others else []
-        cheap = "–"
-        if item.pybullet is not None:
-            effect, other = item.pybullet
-            cheap = f"{estimate(effect.means)}, {other}"
         *numbers, word = item.cells
         lines.append(
             [item.planner, item.baseline, *numbers, str(item.count), "{} / {}".format(*item.failed)]
-            + [word, within_text(item), "; ".join(others) or "–", cheap]
+            + [word, within_text(item), "; ".join(others) or "–", cheap_text(item)]
             + [item.to_decide]
         )
     return lines
@@ -180,7 +183,6 @@ def answer_text(
     claims: Sequence[JudgedClaim],
     docs: str,
     page: str,
-    more: bool = True,
 ) -> str:
     """Return the answer in one line, the picture and three paragraphs.
 
@@ -189,7 +191,6 @@ def answer_text(
         claims: claims judged by them.
         docs: where the page that gets the text finds the folder of docs, such as "docs/".
         page: the same for the page of claims.
-        more: whether to add the paragraphs.
     """
     parts = answer_parts(claims)
     return rendered(
@@ -197,7 +198,6 @@ def answer_text(
         quoted=Quoted(found),
         answer=parts,
         whole=whole_word(parts),
-        more=more,
         claims=claims,
         count=counted(claims),
         docs=docs,
@@ -241,9 +241,10 @@ def page_text(
         reading=reading(links=root == PAGE.parent),
         claims=claims,
         tables={
-            PAPER_TABLES[name]: paper_lines(found[name]) for name in PAPER_TABLES if name in found
+            title: paper_tables(found[name])
+            for name, title in PAPER_TABLES.items()
+            if name in found
         },
-        by_rule=paper_lines(found[TABLE_I], BY_RULE) if TABLE_I in found else [],
         failures={
             item.claim.title: failure_lines(item.claim, item.evidence[0], sentence_level())
             for item in claims
@@ -277,18 +278,16 @@ def forest_of(claims: Sequence[JudgedClaim], committed: Judged | None) -> bytes:
     return plots.forest(claims, committed.claims if committed else ())
 
 
-def paper_lines(evidence: Evidence, start: str = "The paper's") -> Lines:
-    """Return the paper's table beside these rows, in the paper's currency.
-
-    start: how the title of the table begins.
-    """
+def paper_tables(evidence: Evidence) -> tuple[Lines, Lines]:
+    """Return the paper's table beside these rows, and their numbers by the rule (not of tasks)."""
     if SUITES[evidence.rows[0].suite].of_tasks:
-        return task_lines(evidence)
-    return next(
-        lines
-        for title, lines in table_of(evidence.rows).sections.items()
-        if title.startswith(start)
+        return task_lines(evidence), []
+    sections = table_of(evidence.rows).sections
+    paper, by_rule = (
+        next(lines for title, lines in sections.items() if title.startswith(start))
+        for start in ("The paper's", "Table I by the rule")
     )
+    return paper, by_rule
 
 
 def _made_by(evidence: Evidence, root: Path) -> dict[str, Any]:

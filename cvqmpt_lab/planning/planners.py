@@ -120,7 +120,10 @@ def default_planner(problem: PlanningProblem) -> tuple[str, str]:
     if problem.closed_chain:
         return "roadmap", "trees and cells in turns; no roadmap is made of closed chains"
     if any(isinstance(region, TaskSpaceRegionChain) for region in problem.constraint):
-        return "birrt", "the hand holds a mechanism, for which no roadmap was measured"
+        return (
+            "birrt",
+            "the hand holds a mechanism, where roadmap was measured on ten problems only",
+        )
     return (
         "roadmap",
         "less work than birrt on most problems; if it finds no path, birrt and cells search on",
