@@ -101,11 +101,7 @@ def _scanned_suites() -> list[Suite]:
             name="sensor-ompl",
             title="Scanned scenes inside OMPL: planned in the map, judged in truth",
             problems=first,
-            amounts=(
-                _all(planners=_FAST),
-                _slow(problems=30),
-                _small(planners=PlannerGroups.paper),
-            ),
+            amounts=(_all(planners=_FAST), _slow(problems=30)),
         ),
         # a second sample, as large as `cvqmpt claims` asked for
         as_on_the_robot(
