@@ -330,10 +330,9 @@ def sample_goals(
             look,
         ),
         # from a given posture, or along limits and bounds, progress may be slow
-        Stopping(POSE_TOLERANCE, POSE_STEPS, on_stall=near is None and not project),
+        Stopping(count, POSE_TOLERANCE, POSE_STEPS, on_stall=near is None and not project),
         projection_scratch(robot.kinematics, regions),
         np.empty((len(world.robot_arrays.body_link), 4)),
-        count,
         poses,
     )
     reraise(within)
@@ -515,10 +514,9 @@ def _reached(
             np.zeros((1, len(T)), dtype=np.int64),
             len(seeds),
         ),
-        Stopping(POSE_TOLERANCE, 5 * POSE_STEPS, on_stall=False),
+        Stopping(len(T), POSE_TOLERANCE, 5 * POSE_STEPS, on_stall=False),
         projection_scratch(robot.kinematics, regions),
         np.empty((len(world.robot_arrays.body_link), 4)),
-        len(T),
         poses,
     )
     reraise(problem.constraint)

@@ -48,8 +48,9 @@ class Attempts(NamedTuple):
 
 
 class Stopping(NamedTuple):
-    """When Newton's method ends."""
+    """When Newton's method and the search end."""
 
+    wanted: int  # number of configurations
     tolerance: float  # on the pose [m, rad]
     max_iterations: int
     on_stall: bool  # give up attempts that stall
@@ -87,7 +88,6 @@ def reach_free(
     stopping: Stopping,
     scratch: ProjectionScratch,
     balls: Annotated[np.ndarray, "bodies 4"],
-    wanted: int,
     poses: Poses,
 ):
     """Find a free configuration for each of several poses, until there are as many as wanted.
@@ -102,14 +102,13 @@ def reach_free(
         stopping: when it ends.
         scratch: work arrays.
         balls: work array, see `checker.safe_advance`.
-        wanted: number of configurations.
         poses: configurations and verdicts are written.
 
     Returns:
         Number of poses reached.
     """
     seeds, firsts, look = starts
-    tolerance, max_iterations, stop_on_stall = stopping
+    wanted, tolerance, max_iterations, stop_on_stall = stopping
     found = 0
     for i in range(poses.verdict.shape[0]):
         poses.verdict[i] = UNTRIED_POSE

@@ -175,16 +175,21 @@ class StudioPage:
             self._gizmos[name] = gizmo
         self._mark_chosen()
         self._draw_ground()
+        self._place_camera()
+        server.on_client_connect(self._fit_phone)
+        live.on_response, live.on_wait = self._show, self._show_wait
+        live.submit()  # the first response may have come before the page existed
+
+    def _place_camera(self) -> None:
+        """Let pages begin with a free view of the robot."""
+        problem, camera = self.live.problem, self.server.initial_camera
         robot = robot_bodies(problem, problem.start[None])
         still = mesh_of(scene_bodies(problem.scene))
         torso = mesh_of(body for body in robot if body.torso)
         view = clear_viewpoint([mesh_in_view(robot)], still, (1400, 1000), torso=torso)
         # from farther away, so that goal and gizmos are in the picture too
-        server.initial_camera.position = 2.2 * np.subtract(view.eye, view.target) + view.target
-        server.initial_camera.look_at, server.initial_camera.fov = view.target, view.height_angle
-        server.on_client_connect(self._fit_phone)
-        live.on_response, live.on_wait = self._show, self._show_wait
-        live.submit()  # the first response may have come before the page existed
+        camera.position = 2.2 * np.subtract(view.eye, view.target) + view.target
+        camera.look_at, camera.fov = view.target, view.height_angle
 
     def __repr__(self) -> str:
         return f"studio of {self.live.problem.name!r} at {self.address}"
