@@ -450,13 +450,9 @@ def _followed(urdf: Urdf, name: str, held: Mapping[str, HeldJoint]) -> Follower:
     return Follower(name, seen[-1], multiplier, offset)
 
 
-def check_turns(
-    urdf: Urdf, planned: Sequence[str], most: float = 4.0, endless: float = 1e4
-) -> None:
-    """Refuse planned hinges whose limits lie more than `most` turns apart: degrees.
-
-    Beyond `endless` turns, the limits stand for none.
-    """
+def check_turns(urdf: Urdf, planned: Sequence[str]) -> None:
+    """Refuse planned hinges whose limits are degrees, or stand for no limits."""
+    most, endless = 4.0, 1e4  # turns from the lower to the upper limit
     for joint in (urdf.joints[name] for name in planned):
         turns = (joint.upper - joint.lower) / FULL_TURN_RAD
         if joint.kind == "revolute" and turns > most:
