@@ -20,11 +20,25 @@ from cvqmpt_lab.paper_tables.layouts import place_table
 from cvqmpt_lab.paper_tables.statements import PublishedValue, read_published
 from cvqmpt_lab.paper_tables.table_engine import SuiteTable, goalless_text, rows_of_one_suite
 from cvqmpt_lab.paper_tables.writers import markdown, markdown_text
+from cvqmpt_lab.vqmpt.sampler_choice import CHOICES, NAMED_SAMPLERS
 
 OLDER = (
     "Older rows: random numbers depended on the start alone. Title, notes and the descriptions of "
     "planners are the present ones, and these rows may be of an earlier form of the suite."
 )
+
+
+def earlier_samplers(rows: Iterable[ResultRow]) -> str:
+    """Return which planners of rows sampled otherwise than those names do now, or ""."""
+    found: dict[str, set[str]] = {}
+    for row in rows:
+        now = NAMED_SAMPLERS.get(row.planner)
+        for field in CHOICES if now else ():
+            then = getattr(row, field)
+            if then and then != getattr(now, field):
+                found.setdefault(row.planner, set()).add(then)
+    named = [f"`{name}` ({', '.join(sorted(words))})" for name, words in found.items()]
+    return f"Earlier samplers with the same names: {', '.join(named)}." if named else ""
 
 
 def title_of(suite: str) -> str:
@@ -70,13 +84,14 @@ def rendered_tables(directory: Path) -> Rendered:
     title, label = title_of(made.suite), directory.resolve().name
     notes = [str(line) for line in made.sections.get("Notes", ())]
     ended = [note] if note else []
-    older = min(map(streams_of, sessions(record))) < STREAMS
+    older = [OLDER] * (min(map(streams_of, sessions(record))) < STREAMS)
+    older += filter(None, [earlier_samplers(rows)])
     caption = f"{title}, {made.size}. In brackets: 95 % intervals. Bold: the best value."
     texts = {
         "table.md": "\n\n".join(
             [
                 f"# {markdown_text(title)}",
-                *map(markdown_text, (head, *[OLDER] * older, *ended)),
+                *map(markdown_text, (head, *older, *ended)),
                 made.markdown,
             ]
         )

@@ -41,6 +41,16 @@ def store(directory, some_rows, **session):
         opened.append(some_rows)
 
 
+def test_rows_of_an_earlier_sampler_of_a_name_say_so(tmp_path):
+    tables = []
+    for reading in ("merged", "every-waypoint"):
+        own = [a_row(f"{k}", "cvq-mpt", suite="place-task", reading=reading) for k in range(3)]
+        store(tmp_path / reading, [*rows(count=3), *own], streams=2)
+        tables.append(render_directory(tmp_path / reading).texts["table.md"])
+    note = "Earlier samplers with the same names: `cvq-mpt` (every-waypoint)."
+    assert [note in table for table in tables] == [False, True]
+
+
 def test_the_head_line_names_every_commit_and_changes_that_were_not_committed(tmp_path):
     store(tmp_path, rows(), git_commit="a" * 40, cpu_model="Fast CPU", cpu_count=2)
     store(tmp_path, rows(count=11)[10:11], git_commit="b" * 40, git_dirty=True)
