@@ -139,7 +139,9 @@ class JudgedClaim:
 
     @property
     def to_decide(self) -> str:
-        """The largest number of problems that an inconclusive comparison of it needs."""
+        """The largest number of problems that its comparisons need, if it is inconclusive."""
+        if Word.OPEN not in self.words:
+            return "–"
         needed = [item for item in self.deciding if item.needed is not None]
         return max(needed, key=attrgetter("needed")).to_decide if needed else "–"
 
