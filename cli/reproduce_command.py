@@ -198,7 +198,7 @@ OPTIONS: Options = {
     ),
     **CODE,
     "--profile": option(
-        f"amounts of {ALL}, on two cores: full (three hours), paper (Tables I and II with the "
+        f"amounts of {ALL}, on two cores: full (five hours), paper (Tables I and II with the "
         "paper's planners, 6 minutes) or small (five problems of each suite that judges the paper, "
         "3 minutes) (full)",
     ),

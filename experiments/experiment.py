@@ -23,7 +23,7 @@ from cvqmpt_lab.search.space import BACKENDS
 from cvqmpt_lab.vqmpt.sampler_choice import PREFIX
 from cvqmpt_lab.vqmpt.weights import SHIPPED, resolve_model, weights_digest
 
-# full: the committed results, three hours on two cores; paper: Tables I and II with the paper's
+# full: the committed results, five hours on two cores; paper: Tables I and II with the paper's
 # planners, at most 20 minutes; small: a part of everything, 1 to 3 minutes
 PROFILES = ("full", "paper", "small")
 
