@@ -34,9 +34,9 @@ from cvqmpt_lab.paper_tables.statements import (
     CBIRRT,
     CLAIMS,
     CVQ,
-    IN_OMPL,
     OPT,
     Claim,
+    in_ompl,
 )
 from cvqmpt_lab.paper_tables.within import FEWEST_PROBLEMS, Within, solved_within
 from cvqmpt_lab.paper_tables.writers import Lines, estimate
@@ -218,8 +218,8 @@ def _size(run: Rows, value: Value) -> float | None:
 
 def published_number(claim: Claim, planner: str) -> float | None:
     """Return the paper's number of a planner for the measure of a claim."""
-    for item in published_of(claim.suites[0]) if claim.suites else ():
-        if item.metric == claim.paper and IN_OMPL.get(item.planner, item.planner) == planner:
+    for item in in_ompl(published_of(claim.suites[0])) if claim.suites else ():
+        if item.metric == claim.paper and item.planner == planner:
             return float(item.value)
     return None
 
@@ -318,7 +318,9 @@ def _compared(
         words=words,
         pybullet=pybullet,
         needed=needed,
-        left_out=tuple(kind for kind, made in by_kind.items() if made[0].means.low is None),
+        left_out=tuple(
+            kind for kind, made in by_kind.items() if claim.pooled and made[0].means.low is None
+        ),
     )
 
 
@@ -403,7 +405,7 @@ def transfer_lines(evidence: Evidence) -> Lines:
 def task_lines(evidence: Evidence) -> Lines:
     """Return the paper's Table II beside means over tasks: planning in the paper's currency."""
     published = published_of(evidence.rows[0].suite)
-    numbers = {(IN_OMPL.get(x.planner, x.planner), x.metric): x.value for x in published}
+    numbers = {(x.planner, x.metric): x.value for x in in_ompl(published)}
     metrics = {"planning_time": "planning", "execution_time": "execution", "total_time": "total"}
     heads = (f"{name} [s], {who}" for name in metrics.values() for who in ("paper", "here"))
     lines = [["planner", "tasks solved", *heads]]

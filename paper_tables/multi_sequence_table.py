@@ -26,7 +26,7 @@ from cvqmpt_lab.paper_tables.measures import (
     solved,
 )
 from cvqmpt_lab.paper_tables.ompl_table import capped, mean_cost
-from cvqmpt_lab.paper_tables.statements import CBIRRT, IN_OMPL, PublishedValue
+from cvqmpt_lab.paper_tables.statements import CBIRRT, PublishedValue, in_ompl
 from cvqmpt_lab.paper_tables.table_engine import Column, Entry, SuiteTable
 from cvqmpt_lab.paper_tables.writers import Lines, number
 
@@ -175,11 +175,6 @@ ABSENT = (
 )
 
 
-def _cost(row: ResultRow) -> float:
-    """Return the cost of a phase in the paper's seconds."""
-    return capped("search_cost")(row) or 0.0
-
-
 def task_table(
     rows: Iterable[ResultRow],
     published: Sequence[PublishedValue],
@@ -198,16 +193,15 @@ def task_table(
         InvalidInputError: a row is not a phase of a task.
     """
     if priced:
-        published = [
-            replace(value, planner=IN_OMPL.get(value.planner, value.planner)) for value in published
-        ]
+        published = in_ompl(published)
     runs = table.suite_runs(rows, published)
     names = {split_problem(row.problem) for row in runs.rows}
     phases = [phase for _, phase in sorted({(name.number, name.phase) for name in names})]
     found, tasks, by_phase = [], [], []
     columns = {"cost": COST_COLUMN, **PHASE_COLUMNS} if priced else PHASE_COLUMNS
+    cost = capped("search_cost")
     for name, own in runs.groups.items():
-        timed = [replace(row, t_total_s=_cost(row)) for row in own] if priced else own
+        timed = [replace(row, t_total_s=cost(row)) for row in own] if priced else own
         tasks.append(table.entry(name, timed, runs, TASK_COLUMNS, published))
         reached = [row for row in own if row.fail_reason is not FailReason.NOT_REACHED]
         tried = grouped((split_problem(row.problem).phase, row) for row in reached)

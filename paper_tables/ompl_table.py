@@ -35,7 +35,7 @@ from cvqmpt_lab.paper_tables.measures import (
     share_of,
     solved,
 )
-from cvqmpt_lab.paper_tables.statements import CBIRRT, IN_OMPL, UNIFORM, PublishedValue
+from cvqmpt_lab.paper_tables.statements import CBIRRT, UNIFORM, PublishedValue, in_ompl
 from cvqmpt_lab.paper_tables.table_engine import Column, SuiteTable
 from cvqmpt_lab.paper_tables.within import FEWEST_PROBLEMS
 from cvqmpt_lab.paper_tables.writers import Ratio
@@ -180,9 +180,7 @@ NOTES = (
 
 def ompl_table(rows: Iterable[ResultRow], published: Sequence[PublishedValue] = ()) -> SuiteTable:
     """Return cost, lengths and counts of planners inside OMPL, beside the paper's Table I."""
-    published = [
-        replace(value, planner=IN_OMPL.get(value.planner, value.planner)) for value in published
-    ]
+    published = in_ompl(published)
     columns = {
         **COST_COLUMNS,
         **WITHIN_COLUMNS,

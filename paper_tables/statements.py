@@ -2,7 +2,8 @@
 
 import csv
 import tomllib
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -32,6 +33,11 @@ def read_published(name: str, environment: str) -> tuple[PublishedValue, ...]:
     with (PUBLISHED / name).open(encoding="utf-8", newline="") as handle:
         values = [PublishedValue(**record) for record in csv.DictReader(handle)]
     return tuple(value for value in values if value.environment == environment)
+
+
+def in_ompl(values: Iterable[PublishedValue]) -> list[PublishedValue]:
+    """Return the paper's numbers under the names of the planners that run its experiment."""
+    return [replace(value, planner=IN_OMPL.get(value.planner, value.planner)) for value in values]
 
 
 @dataclass(frozen=True)
