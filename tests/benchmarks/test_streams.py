@@ -18,7 +18,7 @@ from cvqmpt_lab.search.result import Budget
 
 PROBLEMS = 100  # of a suite with --long; otherwise of the suites whose problems are made fast
 FAST = (
-    *("place-task", "place-task-published", "place-task-single-goal", "passages"),
+    *("place-task", "place-task-published", "place-task-single-goal", "two-arms", "passages"),
     *("multi-sequence", "multi-sequence-published", "multi-sequence-planned-door"),
 )
 DATA = ("motion-bench", "motion-bench-upright")  # problems of an archive that is downloaded
