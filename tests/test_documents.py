@@ -54,6 +54,15 @@ def test_targets_of_make_on_pages_are_there():
     assert {"reproduce", "test"} <= named <= targets
 
 
+def test_folders_and_files_of_the_project_on_pages_are_there():
+    """Names in capitals or with `my_` stand for a reader's own files."""
+    inside = r"`((?:cvqmpt_lab|experiments|notebooks|paper_tables|tests|docs)/[\w./-]+)`"
+    named = {path for page in PAGES for path in re.findall(inside, page.read_text())}
+    own = re.compile(r"my_|[A-Z]{4}")
+    assert len(named) > 10
+    assert [path for path in named if not own.search(path) and not (ROOT / path).exists()] == []
+
+
 def test_cases_of_judge_a_motion_are_judged_as_the_page_says(monkeypatch, cvqmpt):
     """Each command on the page is followed by lines that it prints."""
     monkeypatch.chdir(ROOT)
