@@ -242,7 +242,8 @@ class _Run:
         began = time.perf_counter()
         goals, reason = phase_goals(self.task, k, world)
         if len(goals) == 0 and isinstance(phase, Move):
-            self.retries = 0  # from another start the move would have no goals either
+            # from another start, or with more time, the move would have no goals either
+            self.retries, self.cut_short = 0, False
         return _Step(phase, world, goals, time.perf_counter() - began, reason)
 
     def _planned(self, step: _Step, share: float) -> PhaseOutcome:
