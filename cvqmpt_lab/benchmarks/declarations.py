@@ -257,8 +257,7 @@ def _task_suites() -> list[Suite]:
                 ),
             ),
             amounts=(
-                few(planners=("ompl-uniform", *PlannerGroups.paper_alone), late=True),
-                few(problems=30, planners=PlannerGroups.slow, late=True),
+                few(late=True),
                 few(profile="paper", problems=10),
                 few(profile="small", problems=5),
             ),

@@ -65,7 +65,6 @@ def _place_suites() -> list[Suite]:
             title="The same as the published code has it: from the shelf to the counter",
             problems=range(6400, 6550),
             make=problem_maker("published:published_problem"),
-            amounts=(_all(planners=_FAST), _slow(problems=30)),
         ),
         # how far the answer depends on the start: the first of these environments, one start each
         *(
