@@ -161,6 +161,7 @@ def committed_pages(
             answer=parts_of_answer,
             whole=whole_word(parts_of_answer),
             summary=pages.summary_lines(claims),
+            claims=claims,
         )
         parts = {
             README: {
