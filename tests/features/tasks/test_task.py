@@ -189,10 +189,10 @@ def test_another_grasp_is_tried_when_a_later_phase_fails(task):
 
 
 class SlidesOnlyWithASecond:
-    """`birrt`, except that slides fail with a budget below one second."""
+    """`birrt`, except that slides fail with a budget below one second, or below `fewest`."""
 
-    def __init__(self):
-        self.given, self.problem = [], ""
+    def __init__(self, fewest=1.0):
+        self.given, self.problem, self.fewest = [], "", fewest
 
     def build(self, problem, model):
         self.problem = problem.name
@@ -202,7 +202,7 @@ class SlidesOnlyWithASecond:
         if self.problem.endswith("approach"):
             seconds = query.deadline.budget.seconds
             self.given.append((round(seconds), tuple(query.start)))
-            if seconds < 1.0:
+            if seconds < self.fewest:
                 return PlanResult(PlanStatus.TIMEOUT, None, 0.0, Counters(), 0, "none")
         return BiRRT().search(query, distribution)
 
@@ -219,8 +219,11 @@ def test_a_slide_gets_little_time_until_all_grasps_have_failed(task):
 def test_a_goal_out_of_reach_names_phase_and_cause(task):
     far = TaskSpaceRegion(pose((3.0, 0.0, 0.5)), np.eye(4), np.zeros((6, 2)))
     phases = tuple(replace(p, goal=far) if p.name == "carry" else p for p in task.phases)
-    solution = solve_task(replace(task, phases=phases), "birrt", BUDGET, seed=0)
+    search = SlidesOnlyWithASecond(fewest=0.0)
+    method = Method("birrt", search.build)
+    solution = solve_task(replace(task, phases=phases), method, BUDGET, seed=0)
     assert not solution.solved
+    assert {seconds for seconds, _ in search.given} == {0}  # more time would find no goal either
     told = "phase 'carry': no goal: of 100 poses, 100 without inverse kinematics"
     assert solution.failure.startswith(told)
     rows = phase_rows(RUN, solution)
