@@ -362,6 +362,7 @@ GROUP_COLUMNS: Mapping[str, Column] = {
         for name in ("work_ratio", "own_time_ratio", "length_ratio")
     },
     # columns for executions in simulation
+    "runs": Column("runs", "1", number_of(lambda _: True), cell=THREE_DIGITS, best="none"),
     "executed": Column("executed", "1", number_of(solved), cell=THREE_DIGITS, best="none"),
     "undecided": Column("undecided", "1", number_of(_undecided), cell=THREE_DIGITS, best="none"),
     "off_path_median": Column(

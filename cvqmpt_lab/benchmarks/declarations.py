@@ -173,9 +173,9 @@ def _executed_suite() -> Suite:
             what="kind",
             notes=(
                 "50 motions of the place task with the can, and ten multi-sequence tasks. Each is "
-                "planned once with a margin, for a speed that is a fraction of the joint limits. "
-                "It is executed by the controller computed-torque, which knows the load, and by "
-                "computed-torque-unknown-load, which does not.",
+                "planned with a margin, once a seed, for a speed that is a fraction of the joint "
+                "limits. It is executed by the controller computed-torque, which knows the load, "
+                "and by computed-torque-unknown-load, which does not.",
                 "Executed: execution as planned with two contact times of the simulator. "
                 "Undecided: the two contact times give different results. Off path: median "
                 "distance of the hand from its planned path; most: largest distance. Tilt: "
@@ -186,8 +186,8 @@ def _executed_suite() -> Suite:
                 "number of the two contact times counts.",
             ),
             columns=(
-                *("executed", "undecided", "off_path_median", "off_path_most", "tilt_most"),
-                *("with_contacts", "saturated_most", "drift_most", "placed"),
+                *("runs", "executed", "undecided", "off_path_median", "off_path_most"),
+                *("tilt_most", "with_contacts", "saturated_most", "drift_most", "placed"),
             ),
         ),
     )
