@@ -152,15 +152,15 @@ def claims(args: argparse.Namespace) -> None:
         print("\n".join(own_lines(found, judged)))
         print(f"nothing written; --write writes {args.results / pages.OWN_PAGE}")
         return
-    if args.write:
-        require_checkout("cvqmpt claims --write", "name a folder of results directories")
-    # pages need all rows, verdicts a quarter of them
-    found, judged = judged_below(RESULTS) if args.write else judged_committed()
-    print("\n".join(text_lines(pages.summary_lines(judged))))
     if not args.write:
+        # verdicts need a quarter of the rows that pages need
+        print("\n".join(text_lines(pages.summary_lines(judged_committed().claims))))
         if in_checkout():
             print(f"nothing written; --write writes {pages.PAGE}")
         return
+    require_checkout("cvqmpt claims --write", "name a folder of results directories")
+    found, judged = judged_below(RESULTS)
+    print("\n".join(text_lines(pages.summary_lines(judged))))
     texts, pictures = committed_pages(found, judged), committed_pictures(found, judged)
     for path, text in texts.items():
         write_text(path, text)
