@@ -20,7 +20,7 @@ from cvqmpt_lab.cli.problem_options import ROBOT
 from cvqmpt_lab.features.lines.follow_lines import Leg, follow_lines, rests, timed
 from cvqmpt_lab.features.motion.timing import TimingSettings
 from cvqmpt_lab.features.motion.trajectory import save_trajectory
-from cvqmpt_lab.robot.limits import SLOW_SPEED
+from cvqmpt_lab.robot.robot import SLOW_SPEED
 from cvqmpt_lab.scene.scene import NamedScene, Scene, refuse_far_poses
 from cvqmpt_lab.scene.scene_files import read_scene, with_files_read
 

@@ -50,9 +50,8 @@ from cvqmpt_lab.planning.solution import Solution
 from cvqmpt_lab.planning.usable import with_projected_start
 from cvqmpt_lab.planning.warm_up import compile_kernels, warm_up
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.robot.limits import SLOW_SPEED
 from cvqmpt_lab.robot.load import robot_from_source
-from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.robot.robot import SLOW_SPEED, Robot
 
 if TYPE_CHECKING:
     from cvqmpt_lab.features.motion.timing import TimingSettings

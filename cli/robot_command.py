@@ -18,11 +18,10 @@ from cvqmpt_lab.cli.problem_options import CODE, ROBOT_DETAILS
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.robot.dynamics import too_weak, without_effort_limit
 from cvqmpt_lab.robot.left_out import OVERLAP
-from cvqmpt_lab.robot.limits import FrameLimit
 from cvqmpt_lab.robot.link_pieces import hull_gaps
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.pairs import cure_of_overlap, srdf_text
-from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.robot.robot import FrameLimit, Robot
 from cvqmpt_lab.robot.source import ARMS, with_relative_paths
 from cvqmpt_lab.scene.scene import Scene
 

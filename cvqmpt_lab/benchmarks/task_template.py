@@ -19,7 +19,7 @@ from cvqmpt_lab.features.motion.timing import TimingSettings
 from cvqmpt_lab.features.tasks.solve import solve_task
 from cvqmpt_lab.features.tasks.task import Move, Slide, Task, Turn
 from cvqmpt_lab.planning.margins import Margin
-from cvqmpt_lab.robot.limits import SLOW_SPEED
+from cvqmpt_lab.robot.robot import SLOW_SPEED
 from cvqmpt_lab.search.result import Budget
 
 Furniture = Literal["drawer", "door"]

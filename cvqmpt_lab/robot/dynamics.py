@@ -18,8 +18,7 @@ import pinocchio as pin
 
 from cvqmpt_lab.base.errors import InvalidInputError, few
 from cvqmpt_lab.robot.kinematics import Kinematics
-from cvqmpt_lab.robot.limits import JointLimits
-from cvqmpt_lab.robot.robot import Robot, axis_frames, in_link
+from cvqmpt_lab.robot.robot import JointLimits, Robot, axis_frames, in_link
 
 
 class Load(NamedTuple):

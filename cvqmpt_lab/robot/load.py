@@ -33,7 +33,6 @@ from cvqmpt_lab.robot.joint_limits_file import (
 )
 from cvqmpt_lab.robot.joint_states import is_joint_state, of_joints
 from cvqmpt_lab.robot.kinematics import link_poses
-from cvqmpt_lab.robot.limits import LIMIT_UNITS, positive_per_joint
 from cvqmpt_lab.robot.mechanism import (
     ArticulatedObject,
     add_tool,
@@ -50,7 +49,15 @@ from cvqmpt_lab.robot.pairs import (
 )
 from cvqmpt_lab.robot.parser import keep_needed_parts, parsed
 from cvqmpt_lab.robot.reach import note_on_reach
-from cvqmpt_lab.robot.robot import Follower, HeldJoint, Robot, axis_frames, kinematics_arrays
+from cvqmpt_lab.robot.robot import (
+    LIMIT_UNITS,
+    Follower,
+    HeldJoint,
+    Robot,
+    axis_frames,
+    kinematics_arrays,
+    positive_per_joint,
+)
 from cvqmpt_lab.robot.source import (
     PACKAGE_PATHS,
     PANDA_FINGER_OPENING_M,

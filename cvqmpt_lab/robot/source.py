@@ -20,7 +20,7 @@ from cvqmpt_lab.base.errors import InvalidInputError, UnknownChoiceError, locate
 from cvqmpt_lab.base.modules import installed_module, require_code_allowed
 from cvqmpt_lab.base.poses import Pose
 from cvqmpt_lab.base.values import FloatArray, numbers
-from cvqmpt_lab.robot.limits import FrameLimit
+from cvqmpt_lab.robot.robot import FrameLimit
 from cvqmpt_lab.robot.urdf import read_urdf
 from cvqmpt_lab.robot.urdf_bodies import collada_unit
 

@@ -30,7 +30,7 @@ from cvqmpt_lab.benchmarks.suite_parts import Suite
 from cvqmpt_lab.planning.pipeline import solve, with_drawn_goals
 from cvqmpt_lab.planning.planners import planner_named
 from cvqmpt_lab.planning.usable import check_problem
-from cvqmpt_lab.robot.limits import SLOW_SPEED
+from cvqmpt_lab.robot.robot import SLOW_SPEED
 from cvqmpt_lab.search.motion import motion_free
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.space import ConstrainedSpace

@@ -16,7 +16,7 @@ from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, TaskSpaceR
 from cvqmpt_lab.features.tasks.task import PHASES, Task
 from cvqmpt_lab.planning.usable import check_problem
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.robot.limits import FrameLimit
+from cvqmpt_lab.robot.robot import FrameLimit
 from cvqmpt_lab.robot.source import RobotSource
 from cvqmpt_lab.scene.scene import Articulation, Attachment, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import SHAPE_CLASSES, SHAPES_BY_PATH

@@ -12,8 +12,8 @@ from cvqmpt_lab.benchmarks.place_task import place_problem
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.task_space_region import displacements
 from cvqmpt_lab.features.motion.frame_speeds import with_frame_limits
-from cvqmpt_lab.robot.limits import FrameLimit
 from cvqmpt_lab.robot.load import robot_from_source
+from cvqmpt_lab.robot.robot import FrameLimit
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Sphere
 

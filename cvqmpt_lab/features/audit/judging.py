@@ -29,9 +29,8 @@ from cvqmpt_lab.features.motion.limit_use import LIMIT_OVERSHOOT, Ends
 from cvqmpt_lab.features.motion.motion_check import dry_run
 from cvqmpt_lab.features.motion.trajectory import Motion
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.robot.limits import JointLimits
 from cvqmpt_lab.robot.load import robot_from_source
-from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.robot.robot import JointLimits, Robot
 from cvqmpt_lab.scene.scene_files import read_scene
 
 # a recording begins and ends anywhere, on the move, and its motion is smooth

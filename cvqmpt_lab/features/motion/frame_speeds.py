@@ -13,8 +13,7 @@ import numpy as np
 
 from cvqmpt_lab.base.codec import to_plain
 from cvqmpt_lab.robot.joint_frames import joint_frames
-from cvqmpt_lab.robot.limits import FrameLimit
-from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.robot.robot import FrameLimit, Robot
 
 
 def with_frame_limits(robot: Robot, limits: Mapping[str, FrameLimit]) -> Robot:

@@ -16,7 +16,7 @@ from cvqmpt_lab.certificate.certificate import certify
 from cvqmpt_lab.planning.solution import Solution
 from cvqmpt_lab.planning.usable import with_projected_start
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.robot.limits import JointLimits
+from cvqmpt_lab.robot.robot import JointLimits
 from cvqmpt_lab.search.result import JointPath
 
 Velocity = Sequence[float] | np.ndarray

@@ -27,7 +27,7 @@ from cvqmpt_lab.base.polyline import distances_along, states_at
 from cvqmpt_lab.features.motion.frame_speeds import FrameSpeeds
 from cvqmpt_lab.features.motion.linear_program import greatest
 from cvqmpt_lab.robot.dynamics import Dynamics
-from cvqmpt_lab.robot.limits import JointLimits
+from cvqmpt_lab.robot.robot import JointLimits
 
 
 @dataclass(frozen=True, eq=False)

@@ -36,7 +36,7 @@ from cvqmpt_lab.features.motion.squared_speeds import (
 )
 from cvqmpt_lab.features.motion.trajectory import Trajectory, extremes, quintic
 from cvqmpt_lab.robot.dynamics import Dynamics
-from cvqmpt_lab.robot.limits import SLOW_SPEED, JointLimits
+from cvqmpt_lab.robot.robot import SLOW_SPEED, JointLimits
 
 
 @dataclass(frozen=True)

@@ -41,7 +41,7 @@ from cvqmpt_lab.base.values import numbers
 from cvqmpt_lab.features.motion.bags import is_bag, message_of_bag
 from cvqmpt_lab.features.motion.ros_messages import joint_trajectory, nanoseconds
 from cvqmpt_lab.features.motion.tables import read_table
-from cvqmpt_lab.robot.limits import LIMIT_UNITS, JointLimits
+from cvqmpt_lab.robot.robot import LIMIT_UNITS, JointLimits
 
 if TYPE_CHECKING:
     from scipy.interpolate import PPoly  # half a second to import

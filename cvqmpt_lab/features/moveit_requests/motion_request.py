@@ -45,10 +45,9 @@ from cvqmpt_lab.features.motion.trajectory import Motion
 from cvqmpt_lab.features.moveit_requests.euler_bounds import EulerBounds
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.joint_states import joint_state_values, log
-from cvqmpt_lab.robot.limits import FrameLimit
 from cvqmpt_lab.robot.load import gripper_joints, robot_from_source
 from cvqmpt_lab.robot.pairs import srdf_root
-from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.robot.robot import FrameLimit, Robot
 from cvqmpt_lab.robot.source import read_source
 from cvqmpt_lab.scene.moveit_frames import frame_name, standing_frame
 from cvqmpt_lab.scene.moveit_scenes import read_pose, read_primitive, refuse_attached

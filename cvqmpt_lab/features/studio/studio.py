@@ -44,7 +44,7 @@ from cvqmpt_lab.features.studio.studio_look import (
 from cvqmpt_lab.features.studio.studio_planning import Response, Studio
 from cvqmpt_lab.features.studio.studio_plots import PlotPanel
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.robot.limits import SLOW_SPEED
+from cvqmpt_lab.robot.robot import SLOW_SPEED
 
 MOST_EDGES = 20_000  # of an outline that is drawn
 EDGE_COLOUR = (60, 60, 66)  # of outlines of what is not chosen

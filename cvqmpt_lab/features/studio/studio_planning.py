@@ -39,7 +39,7 @@ from cvqmpt_lab.planning.planners import PLANNERS, default_planner, planner_name
 from cvqmpt_lab.planning.solution import Solution
 from cvqmpt_lab.planning.warm_up import warm_up
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.robot.limits import SLOW_SPEED
+from cvqmpt_lab.robot.robot import SLOW_SPEED
 from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.search.result import Budget, JointPath
 

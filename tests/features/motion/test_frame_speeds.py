@@ -19,8 +19,8 @@ from cvqmpt_lab.features.motion.motion_check import (
 from cvqmpt_lab.features.motion.timing import TimingSettings
 from cvqmpt_lab.features.motion.trajectory import Motion
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.robot.limits import FrameLimit
 from cvqmpt_lab.robot.load import robot_from_source
+from cvqmpt_lab.robot.robot import FrameLimit
 
 LIMITS = {"panda_hand": FrameLimit(1.0), "panda_link4": FrameLimit(None, 1.5)}
 FULL = TimingSettings(speed=1.0)

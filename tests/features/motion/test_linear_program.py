@@ -12,7 +12,7 @@ from cvqmpt_lab.features.motion import squared_speeds as speeds
 from cvqmpt_lab.features.motion.linear_program import greatest
 from cvqmpt_lab.features.motion.timing import TimingSettings, time_path
 from cvqmpt_lab.robot.dynamics import Dynamics
-from cvqmpt_lab.robot.limits import JointLimits
+from cvqmpt_lab.robot.robot import JointLimits
 
 LIMITS = JointLimits(("first", "second"), np.array([2.0, 1.0]), np.array([4.0, 5.0]))
 
@@ -80,7 +80,7 @@ def test_unknown_solvers_are_refused_before_planning(solver, words):
 def test_timing_imports_highs_and_not_cvxpy():
     code = (
         "import json, sys, numpy as np; from cvqmpt_lab import time_path; "
-        "from cvqmpt_lab.robot.limits import JointLimits; "
+        "from cvqmpt_lab.robot.robot import JointLimits; "
         "time_path([[0, 0], [1, 0], [1, 1]], JointLimits('ab', np.ones(2), np.ones(2))); "
         "print(json.dumps([name in sys.modules for name in ('highspy', 'cvxpy', 'scipy.stats')]))"
     )

@@ -28,8 +28,8 @@ from cvqmpt_lab.features.plan import Request, plan
 from cvqmpt_lab.planning.margins import NO_MARGIN
 from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.robot.dynamics import Dynamics, without_effort_limit
-from cvqmpt_lab.robot.limits import JointLimits
 from cvqmpt_lab.robot.load import load_robot, panda, robot_from_source
+from cvqmpt_lab.robot.robot import JointLimits
 from cvqmpt_lab.scene.coal_shapes import loads_of
 from cvqmpt_lab.scene.scene import Attachment, Scene
 from cvqmpt_lab.scene.shapes import Box, Cylinder, PointCloud

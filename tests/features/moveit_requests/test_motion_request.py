@@ -20,8 +20,8 @@ from cvqmpt_lab.features.moveit_requests.motion_request import (
     read_request,
 )
 from cvqmpt_lab.planning.pipeline import solve
-from cvqmpt_lab.robot.limits import FrameLimit
 from cvqmpt_lab.robot.load import robot_from_source
+from cvqmpt_lab.robot.robot import FrameLimit
 from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.search.result import Budget
 
