@@ -41,6 +41,7 @@ import numpy as np
 from cvqmpt_lab.base.codec import Document, OneOrMore, digest_of, to_plain
 from cvqmpt_lab.base.errors import InvalidProblemError, mapping, unique
 from cvqmpt_lab.base.modules import provider
+from cvqmpt_lab.base.poses import nearest_turn
 from cvqmpt_lab.base.values import (
     FULL_TURN_RAD,
     Array,
@@ -65,7 +66,7 @@ from cvqmpt_lab.constraints.task_space_region import (
 )
 from cvqmpt_lab.robot.dynamics import Dynamics
 from cvqmpt_lab.robot.load import SourceForm, State, numbers_of, robot_from_source
-from cvqmpt_lab.robot.robot import Robot, nearest_turn
+from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.coal_shapes import loads_of
 from cvqmpt_lab.scene.scene import (
     Attachment,

@@ -1,4 +1,4 @@
-"""Rigid poses: 4x4 arrays `T_a_b` map points of frame b into frame a; [m] and [rad]."""
+"""Rigid poses, and turns of angles: 4x4 arrays `T_a_b` map points of frame b into frame a; [m] and [rad]."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -193,3 +193,9 @@ def rotation_vectors(matrices: np.ndarray) -> np.ndarray:
     sine = np.sqrt((q[:, :3] * q[:, :3]).sum(axis=1, keepdims=True))
     angle = 2.0 * np.arctan2(sine, q[:, 3:])
     return q[:, :3] * np.divide(angle, sine, out=np.zeros_like(sine), where=sine > 0.0)
+
+
+def nearest_turn(angles: np.ndarray, reference: np.ndarray | float) -> np.ndarray:
+    """Return angles moved by whole turns to within half a turn of a reference [rad]."""
+    turn = 2.0 * np.pi
+    return angles + turn * np.round((reference - angles) / turn)

@@ -20,6 +20,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from cvqmpt_lab.base.poses import nearest_turn
 from cvqmpt_lab.base.values import frozen
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.collision.world import World
@@ -48,7 +49,7 @@ from cvqmpt_lab.constraints.region_constraint import (
 from cvqmpt_lab.constraints.regions import Regions
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, TaskSpaceRegionChain
 from cvqmpt_lab.robot.kinematics import link_poses
-from cvqmpt_lab.robot.robot import Robot, nearest_turn
+from cvqmpt_lab.robot.robot import Robot
 
 MAX_GOALS = 20
 POSE_TOLERANCE = 1e-6  # [m, rad] of inverse kinematics

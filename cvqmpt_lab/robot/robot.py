@@ -14,15 +14,10 @@ import numpy as np
 import pinocchio as pin
 
 from cvqmpt_lab.base.errors import InvalidInputError, UnknownChoiceError, few, require_choice
+from cvqmpt_lab.base.poses import nearest_turn
 from cvqmpt_lab.base.values import Condition, frozen
 from cvqmpt_lab.robot.kinematics import Kinematics
 from cvqmpt_lab.robot.left_out import OVERLAP, LeftOut
-
-
-def nearest_turn(angles: np.ndarray, reference: np.ndarray | float) -> np.ndarray:
-    """Return angles moved by whole turns to within half a turn of a reference [rad]."""
-    turn = 2.0 * np.pi
-    return angles + turn * np.round((reference - angles) / turn)
 
 
 class HeldJoint(NamedTuple):

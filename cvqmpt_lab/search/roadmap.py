@@ -15,8 +15,9 @@ import numpy as np
 
 from cvqmpt_lab.base.caches import cached_arrays, sources_digest
 from cvqmpt_lab.base.errors import InvalidInputError
+from cvqmpt_lab.base.poses import nearest_turn
 from cvqmpt_lab.collision.world import World
-from cvqmpt_lab.robot.robot import Robot, nearest_turn
+from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Attachment, Scene
 from cvqmpt_lab.search import lazy_roadmap as kernels
 from cvqmpt_lab.search.edge_costs import EdgeCosts
