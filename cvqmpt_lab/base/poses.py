@@ -1,4 +1,4 @@
-"""Rigid poses, and turns of angles: 4x4 arrays `T_a_b` map points of frame b into frame a; [m] and [rad]."""
+"""Turns of angles, and rigid poses: 4x4 arrays `T_a_b` map points of frame b to a; [m], [rad]."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
