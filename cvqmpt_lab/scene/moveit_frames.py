@@ -48,7 +48,14 @@ def fixed_transforms(message: Mapping[str, Any]) -> list[FixedTransform]:
         )
         for item in listed(message.get("fixed_frame_transforms"), "fixed_frame_transforms")
     ]
-    return [item for item in found if item.header != item.child]
+    return [item for item in found if not _of_one_frame(item)]
+
+
+def _of_one_frame(item: FixedTransform) -> bool:
+    """Return whether both names are one frame, as in the identity that MoveIt always writes."""
+    if {item.header, item.child} == {"", "world"}:
+        return np.array_equal(item.matrix, np.eye(4))
+    return item.header == item.child
 
 
 def frame_name(value: Any) -> str:

@@ -225,6 +225,8 @@ def in_frame(frame, *transforms):
         (in_frame("eye", ("eye", "panda_link0", (1, 0, 1))), (1, 0, 2), "'eye' is at 1 0 1 m"),
         (in_frame("world", ("world", "panda_link0", (0, 0, 1))), (0, 0, 2), "is at 0 0 1 m"),
         (in_frame("panda_link0", ("panda_link0", "panda_link0", (0, 0, 0))), (0, 0, 1), ""),
+        (in_frame("world", ("", "world", (0, 0, 0))), (0, 0, 1), ""),
+        (in_frame("world", ("", "world", (0, 0, 7))), (0, 0, 1), "left out: '' to 'world'"),
         (in_frame("world", ("camera", "map", (0, 0, 7))), (0, 0, 1), "left out: 'camera' to 'map'"),
     ],
 )
