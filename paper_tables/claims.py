@@ -17,6 +17,7 @@ from cvqmpt_lab.benchmarks.results.row import (
 from cvqmpt_lab.benchmarks.results.statistics import Interval
 from cvqmpt_lab.paper_tables import rule
 from cvqmpt_lab.paper_tables.evidence import Evidence
+from cvqmpt_lab.paper_tables.kept_draws import kept_effects, kept_within
 from cvqmpt_lab.paper_tables.measures import (
     VALUES,
     Pair,
@@ -38,7 +39,7 @@ from cvqmpt_lab.paper_tables.statements import (
     Claim,
     in_ompl,
 )
-from cvqmpt_lab.paper_tables.within import FEWEST_PROBLEMS, Within, solved_within
+from cvqmpt_lab.paper_tables.within import FEWEST_PROBLEMS, Within
 from cvqmpt_lab.paper_tables.writers import Lines, estimate
 
 # the cost of a run by the time that the network takes
@@ -272,16 +273,12 @@ def _compared(
     kinds = _values(claim, parts, prices)
     if not kinds:
         return found
-    by_kind = {
-        kind: Effect.of_prices(ours, theirs, level) for kind, (ours, theirs) in kinds.items()
-    }
+    by_kind = {kind: kept_effects(ours, theirs, level) for kind, (ours, theirs) in kinds.items()}
     effects = _effects(claim, [*by_kind.values()], level)
     own, other = (np.concatenate(sides, axis=1) for sides in zip(*kinds.values(), strict=True))
     within: list[Within | None] = [None] * len(prices)
     if timed:
-        within = [
-            solved_within(*sides, claim.limit, level) for sides in zip(own, other, strict=True)
-        ]
+        within = [kept_within(*sides, claim.limit, level) for sides in zip(own, other, strict=True)]
     judged = list(zip(effects, within, strict=True))
     count = own.shape[1]
     words, pybullet = {}, None
