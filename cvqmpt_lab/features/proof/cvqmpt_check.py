@@ -280,7 +280,12 @@ def spline(h, q, ends):
 def bezier(q, v0, v1, a0=None, a1=None):
     """Return Bezier points (6, pieces, n) of the quintics through derivatives by the pieces' share.
 
-    q: points (pieces + 1, n). Without second derivatives they are those of the cubics.
+    Args:
+        q: points (pieces + 1, n) [rad or m].
+        v0: first derivatives (pieces, n) at the beginning of each piece [rad or m].
+        v1: at its end.
+        a0: second derivatives (pieces, n) at the beginning; None: those of the cubics.
+        a1: at its end.
     """
     ways = np.diff(q, axis=0)
     a0 = 6.0 * ways - 4.0 * v0 - 2.0 * v1 if a0 is None else a0
@@ -295,6 +300,13 @@ def curves_of(t, q, v, a, ends):
     They are straight lines and, with times, the spline; or the cubics through velocities and the
     quintics through accelerations, too: controllers take one of both. Then pieces of both, from
     each point, follow each other.
+
+    Args:
+        t: times (m,) [s]; None: the motion has none.
+        q: positions (m, n) [rad or m].
+        v: velocities (m, n) [rad/s or m/s]; None: those of the spline.
+        a: accelerations (m, n) [rad/s^2 or m/s^2]; None: no quintics.
+        ends: see `spline`.
     """
     ways, h = np.diff(q, axis=0), np.ones((len(q) - 1, 1)) if t is None else np.diff(t)[:, None]
     curves = [bezier(q, ways, ways)] if v is None else []
@@ -332,7 +344,11 @@ def within(b, low, high):
 def leaves(tree, b, first, last):
     """Yield box of joint values, first obstacle, end of the obstacles, and normal of each leaf.
 
-    tree: an iterator of the tree in preorder; b: points (6, m, n) of the pieces that it is about.
+    Args:
+        tree: an iterator of the tree in preorder.
+        b: Bezier points (6, m, n) of the pieces that the tree is about [rad or m].
+        first: number of the first obstacle.
+        last: number after the last obstacle.
     """
     token = next(tree, None)
     need(token is not None, "a part of the motion, or an obstacle, has no plane")
@@ -372,7 +388,15 @@ class Proof:
         return (*self.robot.poses(0.5 * (low + high)), 0.5 * (high - low) + SLACK)
 
     def gap(self, first, second, n, placed, ranges):
-        """Return gaps (m,) of two bodies along n (m, 3) [m]; second None: obstacles in ranges."""
+        """Return gaps (m,) of two bodies along normals [m].
+
+        Args:
+            first: body.
+            second: body; None: obstacles.
+            n: normals (m, 3) from the first body to the second, of any length.
+            placed: see `placed`; m boxes.
+            ranges: (m, 2) first obstacle, and end of the obstacles.
+        """
         (R, p, _), gap = placed, np.zeros(len(n))
         n = n / np.linalg.norm(n, axis=1)[:, None]
         if second is None:
