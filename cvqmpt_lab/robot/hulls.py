@@ -126,21 +126,20 @@ def _hull_of(path: str, scale: Sequence[float]) -> tuple[np.ndarray, np.ndarray,
     if mesh.num_vertices == 0:
         raise InvalidInputError(f"{what} is empty")
     points = np.array(mesh.vertices())
+    rounded = 0.0
     if len(points) > 2 and _is_flat(points, what):
         from cvqmpt_lab.base.convex_pieces import thickened  # takes 0.3 s to import
 
-        points = thickened(points)
-        return (*_polytope(coal_hull(points)), MIN_THICKNESS_M)
+        points, rounded = thickened(points), MIN_THICKNESS_M
     require_volume(points, what)
-    rounded = 0.0
     try:
-        mesh.buildConvexHull(True, "Qt")
-        hull = mesh.convex
+        hull = coal_hull(points)
     except RuntimeError as error:
         reason = str(error).rpartition("message: ")[2].strip()
         if "neighbors" not in reason:
             raise InvalidInputError(f"{what} has no convex hull ({reason}): simplify it") from error
-        hull, rounded = _rounded_hull(points, what)
+        hull, beyond = _rounded_hull(points, what)
+        rounded += beyond
     return (*_polytope(hull), rounded)
 
 

@@ -170,6 +170,21 @@ def test_a_hull_with_too_many_neighbours_at_a_corner_is_rounded_outwards(tmp_pat
     assert len(rounded) == (sides > 255)
 
 
+@pytest.mark.parametrize("thickness", [1e-9, 1e-6])
+def test_a_flat_disc_with_many_corners_is_thickened_and_rounded(tmp_path, thickness):
+    """Coal stores at most 255 neighbours of a corner: such a disc ended in a traceback."""
+    disc = trimesh.creation.cylinder(0.1, thickness, sections=400)
+    disc.export(tmp_path / "disc.stl")
+    text = arm('<link name="room"/>', from_file("tool", "disc.stl"))
+    robot = load_robot(written(tmp_path, text, "disc.urdf"), "tool")
+    (piece,) = (piece for piece in robot.links if piece.name == "tool_0")
+    planes = ConvexHull(piece.vertices).equations
+    assert (np.asarray(disc.vertices) @ planes[:, :3].T + planes[:, 3]).max() < 1e-7
+    assert np.abs(piece.vertices[:, 2]).max() < 1e-3
+    (note,) = (note for note in robot.notes if "without thickness are larger" in note)
+    assert "tool_0" in note
+
+
 def test_parts_of_several_materials_keep_their_triangles(tmp_path):
     boxes = [trimesh.creation.box((0.1, 0.1, 0.1), placed) for placed in (np.eye(4), np.eye(4))]
     boxes[1].apply_translation((0.5, 0.0, 0.0))
