@@ -485,6 +485,14 @@ def test_the_digest_of_a_problem_is_also_of_the_bodies_in_its_robot_file(tmp_pat
         words = [tmp_path / "path.csv", tmp_path / "p.json", "--json"]
         digests.append(json.loads(cvqmpt("certify", *words))["problem_sha256"])
     assert digests[0] == digests[2] != digests[1]
+    # the same files in another folder are the same problem
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    for name in ("arm.urdf", "p.json", "path.csv"):
+        copied = (tmp_path / name).read_text().replace(str(tmp_path), str(elsewhere))
+        (elsewhere / name).write_text(copied)
+    words = [elsewhere / "path.csv", elsewhere / "p.json", "--json"]
+    assert json.loads(cvqmpt("certify", *words))["problem_sha256"] == digests[0]
 
 
 @pytest.mark.parametrize(

@@ -76,10 +76,15 @@ def record(
             moved.update(f"{values.shape}".encode())
             moved.update(np.ascontiguousarray(values, dtype="<f8").tobytes())
     # the problem's JSON leaves out fields with their default value
-    robot = problem.robot
-    stated = hashlib.sha256(json.dumps(problem.to_dict(), sort_keys=True).encode())
+    robot, data = problem.robot, problem.to_dict()
+    # files count by content, below: shapes, masses and limits are in them, and not their folder
+    data["robot"] = {
+        key: value.rpartition("/")[2] if isinstance(value, str) else value
+        for key, value in data["robot"].items()
+        if key != "package_dirs"
+    }
+    stated = hashlib.sha256(json.dumps(data, sort_keys=True).encode())
     stated.update(robot.kinematics_digest.encode())
-    # the json names the robot's file; shapes, masses and limits are in that file and its meshes
     for _, sha256 in robot.files:
         stated.update(sha256.encode())
     for function in problem.manifold.functions:  # the json has its address
