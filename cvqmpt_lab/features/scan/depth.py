@@ -31,6 +31,7 @@ from cvqmpt_lab.scene.scene import log, refuse_far_poses
 from cvqmpt_lab.sensing.camera import Intrinsics, View
 
 FARTHEST_DEPTH_M = 30.0  # of half of an image in millimetres
+NEAREST_DEPTH_M = 0.05  # of half of an image: depth cameras measure from 0.07 m on
 NO_DEPTH = 2**16 - 1  # in images of 16 bits, as 0
 MAX_PIXELS = 2**24  # of an image; its points then take 400 MB
 
@@ -72,6 +73,12 @@ def read_capture(
             f"depth image {path} is {middle:.3g} m deep if its units are 1 mm; give --scale, the "
             "length of a unit (0.0001: 0.1 mm) [m]; if it is a renderer's depth buffer, convert it "
             "to depth"
+        )
+    if scale is None and middle < NEAREST_DEPTH_M:
+        raise InvalidInputError(
+            f"half of depth image {path} is nearer than {middle:.3g} m, which no depth camera "
+            "measures; give --scale, the length of a unit [m]; if it is a renderer's depth buffer "
+            "(reversed: 1 is near), convert it to depth"
         )
     check_lengths(points, f"depth image {path}")
     return Cloud(points, len(pixels) - len(points), T)

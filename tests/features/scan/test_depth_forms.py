@@ -110,3 +110,18 @@ def test_a_depth_buffer_or_finer_unit_in_16_bits_does_not_name_millimetres(tmp_p
         "m deep if its units are 1 mm; give --scale", read_capture, tmp_path / "a.png", lens, pose
     )
     assert "a.png is 59.6 m deep" in told and "buffer, convert it" in told
+
+
+@pytest.mark.parametrize("form", ["reversed buffer", "metres as whole numbers"])
+def test_depth_that_no_camera_measures_is_asked_about(tmp_path, camera, form):
+    """It was read as planes 1 to 12 mm in front of the camera."""
+    depth = depth_of(1.2, 90)
+    near, far = 0.01, 10.0
+    reversed_buffer = (near * (far - depth) / (depth * (far - near))).astype("f4")
+    np.save(
+        tmp_path / "a.npy", reversed_buffer if form == "reversed buffer" else depth.astype("u2")
+    )
+    lens, pose = camera[1::2]
+    given = tmp_path / "a.npy", lens, pose
+    refused("which no depth camera measures; give --scale", read_capture, *given)
+    assert len(read_capture(*given, scale=1.0).points)
