@@ -389,8 +389,13 @@ class PlanningProblem(Document):
 
     @property
     def notes(self) -> list[str]:
-        """Lines on how robot and scene were read differently from their files."""
-        return [*self.robot.notes, *self.scene.notes, *self._loose_hands()]
+        """Lines on what is probably other than meant, e.g. how a file of the robot was read."""
+        free = (
+            f"constraint[{k}] binds nothing: every entry of its bounds is free"
+            for k, member in enumerate(self.constraint)
+            if isinstance(member, TaskSpaceRegion) and len(member.bounded_rows) == 0
+        )
+        return [*self.robot.notes, *self.scene.notes, *free, *self._loose_hands()]
 
     def _loose_hands(self) -> Iterator[str]:
         """Yield a line on each hand in `also_held_by` that the constraint does not keep there."""

@@ -101,6 +101,13 @@ def test_ways_to_say_free_are_read(robot, free):
     )
 
 
+def test_a_note_says_which_region_binds_nothing(robot):
+    """A file with tilt 3.2, perhaps degrees, was certified without a word."""
+    made = problem(robot, region("upright", tilt=0.1), region("upright", tilt=3.2))
+    (note,) = (note for note in made.notes if "binds nothing" in note)
+    assert note.startswith("constraint[1] binds nothing")
+
+
 def test_a_joint_coupling_that_binds_nothing_is_refused(robot):
     one, other = robot.joint_names[:2]
     factors = {one: 1.0, other: -2.0}
