@@ -131,9 +131,8 @@ def _hull_of(path: str, scale: Sequence[float]) -> tuple[np.ndarray, np.ndarray,
         from cvqmpt_lab.base.convex_pieces import thickened  # takes 0.3 s to import
 
         points, rounded = thickened(points), MIN_THICKNESS_M
-    require_volume(points, what)
     try:
-        hull = coal_hull(points)
+        hull = coal_hull(points, what)
     except RuntimeError as error:
         reason = str(error).rpartition("message: ")[2].strip()
         if "neighbors" not in reason:
@@ -230,9 +229,12 @@ def _are_polytope(points: np.ndarray, corners: np.ndarray) -> bool:
     )
 
 
-def coal_hull(points: np.ndarray) -> coal.CollisionGeometry:
-    """Return coal's convex hull of points (n, 3) [m]; InvalidInputError if it has no volume."""
-    require_volume(points, "a convex mesh")
+def coal_hull(points: np.ndarray, what: str = "a convex mesh") -> coal.CollisionGeometry:
+    """Return coal's convex hull of points (n, 3) [m].
+
+    InvalidInputError if it has no volume; what: noun of the message.
+    """
+    require_volume(points, what)
     listed = coal.StdVec_Vec3s()
     listed.extend(list(points))
     return coal.Convex.convexHull(listed, True, "Qt")
