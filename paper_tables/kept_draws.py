@@ -5,7 +5,6 @@ source code that judges them.
 """
 
 import math
-import sys
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -19,9 +18,9 @@ from cvqmpt_lab.paper_tables import bootstrap, rule, within
 from cvqmpt_lab.paper_tables.rule import Effect
 from cvqmpt_lab.paper_tables.within import Within, solved_within
 
-SOURCES = tuple(
-    Path(str(module.__file__))
-    for module in (sys.modules[__name__], rule, within, bootstrap, statistics)
+SOURCES = (
+    Path(__file__),
+    *(Path(str(module.__file__)) for module in (rule, within, bootstrap, statistics)),
 )
 MOST = 1_000  # files of each kind
 
