@@ -91,6 +91,11 @@ class RobotSource:
         return {name: getattr(self, name) for name in (f"{kind}_limits" for kind in kinds)}
 
 
+# fields of RobotSource that are paths: of files, and of all
+FILE_FIELDS = ("urdf", "srdf", "joint_limits")
+PATH_FIELDS = (*FILE_FIELDS, "package_dirs")
+
+
 def with_absolute_paths(folder: Path, source: Any) -> Any:
     """Return a robot's source in which paths relative to `folder` are made absolute.
 
@@ -100,7 +105,7 @@ def with_absolute_paths(folder: Path, source: Any) -> Any:
         return source
     files: dict[str, Any] = {
         name: str((folder / source[name]).absolute())
-        for name in ("urdf", "srdf", "joint_limits")
+        for name in FILE_FIELDS
         # "" stands for an absent file
         if isinstance(source.get(name), str) and source[name]
     }
@@ -120,8 +125,9 @@ def with_relative_paths(folder: Path, source: Mapping[str, Any]) -> dict[str, An
         below = Path(path).is_relative_to(folder)
         return str(Path(path).relative_to(folder)) if below else path
 
-    named = ("urdf", "srdf", "joint_limits")
-    files: dict[str, Any] = {name: relative(source[name]) for name in named if source.get(name)}
+    files: dict[str, Any] = {
+        name: relative(source[name]) for name in FILE_FIELDS if source.get(name)
+    }
     if source.get("package_dirs"):
         files["package_dirs"] = [relative(path) for path in source["package_dirs"]]
     return {**source, **files}

@@ -31,6 +31,7 @@ from cvqmpt_lab.features.motion.trajectory import Motion
 from cvqmpt_lab.planning.solution import Solution
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.left_out import LeftOut
+from cvqmpt_lab.robot.source import PATH_FIELDS
 from cvqmpt_lab.scene.scene import Scene
 
 
@@ -77,11 +78,9 @@ def record(
             moved.update(np.ascontiguousarray(values, dtype="<f8").tobytes())
     # the problem's JSON leaves out fields with their default value
     robot, data = problem.robot, problem.to_dict()
-    # files count by content, below: shapes, masses and limits are in them, and not their folder
+    # files of the robot count by their content, below, and not by their path
     data["robot"] = {
-        key: value.rpartition("/")[2] if isinstance(value, str) else value
-        for key, value in data["robot"].items()
-        if key != "package_dirs"
+        name: value for name, value in data["robot"].items() if name not in PATH_FIELDS
     }
     stated = hashlib.sha256(json.dumps(data, sort_keys=True).encode())
     stated.update(robot.kinematics_digest.encode())
